@@ -7,7 +7,7 @@ if __name__ == "__main__":  # before anything that takes time to import
 
     interruption.listen()
 
-from bbq_torchrl.cli.train import main
+from bbq_torchrl.runs.train import main
 
 if __name__ == "__main__":
     main()

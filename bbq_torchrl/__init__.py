@@ -10,14 +10,12 @@ environment, policy and configuration; :func:`config_dir` is for Hydra's Compose
 
 from __future__ import annotations
 
-import sys
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl import interruption, renamed
+from bbq_torchrl import renamed
 
 if TYPE_CHECKING:
-    from bbq_torchrl.cli.loading import load_run
-    from bbq_torchrl.cli.notebook import config_dir, train
+    from bbq_torchrl.runs.loading import config_dir, load_run, train
 
 __all__ = ["__version__", "config_dir", "load_run", "train"]
 
@@ -25,20 +23,11 @@ __version__ = "0.2.0.dev0"
 
 renamed.install(__name__)
 
-if sys.argv[:1] == ["-m"] and f"{__name__}." in " ".join(sys.orig_argv):
-    # `python -m` is about to run one of our modules, whose packages take seconds to import: Ctrl-C
-    # in these ends in a line, too.
-    interruption.listen()
-
 
 def __getattr__(name: str) -> Any:
     # Imported when it is asked for: torch and torchrl take seconds.
-    if name == "load_run":
-        from bbq_torchrl.cli.loading import load_run
+    if name in ("config_dir", "load_run", "train"):
+        from bbq_torchrl.runs import loading
 
-        return load_run
-    if name in ("config_dir", "train"):
-        from bbq_torchrl.cli import notebook
-
-        return getattr(notebook, name)
+        return getattr(loading, name)
     raise AttributeError(f"module {__name__!r} has no attribute {name!r}")

@@ -14,11 +14,11 @@ import sys
 from typing import TYPE_CHECKING, NamedTuple
 
 from bbq_torchrl import interruption, output
-from bbq_torchrl.cli.messages import take_config_dir
-from bbq_torchrl.cli.store import compose
 from bbq_torchrl.domains import importing
 from bbq_torchrl.options import CalibrateConfig, ConfigError
 from bbq_torchrl.pages import page
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.overrides import take_config_dir
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
@@ -47,7 +47,7 @@ _STEP = 0.02  # of the probability, over which the slope is taken
 
 
 class Calibration(NamedTuple):
-    """What was found.
+    """A calibrated error probability.
 
     Attributes:
         slot_error_prob: four decimals.
@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     if arguments[:1] == ["import"]:
         return importing.main(arguments[1:])
-    interruption.tell(lambda: "in a calibration", lambda: "the same command begins again")
+    interruption.tell(lambda: "in a calibration", lambda: "the same command starts again")
     if not arguments or {"-h", "--help"} & set(arguments):
         output.write(USAGE)
         return 0
@@ -76,7 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise ConfigError(f"the command must be calibrate or import, got {shown(arguments[0])}")
     arguments = take_config_dir(arguments)
     config = compose(arguments[1:], CalibrateConfig)
-    found = calibrate(config, output.complain)
+    found = calibrate(config, output.print_error)
     output.write(
         f"reference_slot_error_prob: {found.slot_error_prob:g}"
         f"  # ± {found.error:.4f}; {config.policy} succeeds in {found.success_rate:.4f} ± "
@@ -99,11 +99,11 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
     import torch
     from scipy.optimize import brentq
 
-    from bbq_torchrl.cli.checks import check_device
     from bbq_torchrl.envs import scripted_policy
     from bbq_torchrl.evaluation.rollouts import evaluate
-    from bbq_torchrl.evaluation.statistics import binomial_standard_error
     from bbq_torchrl.options.env import FullDomain
+    from bbq_torchrl.runs.checks import check_device
+    from bbq_torchrl.statistics import binomial_standard_error
     from bbq_torchrl.trainers import derive_seed, keep_freed_memory
 
     option = config.env

@@ -2,6 +2,11 @@
 
 from __future__ import annotations
 
+if __name__ == "__main__":  # before anything that takes time to import
+    from bbq_torchrl import interruption
+
+    interruption.listen()
+
 import json
 import sys
 import time
@@ -10,13 +15,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl import interruption, output
-from bbq_torchrl.cli.messages import take_config_dir
-from bbq_torchrl.cli.resume import run_config
-from bbq_torchrl.cli.store import compose, run_of
 from bbq_torchrl.options import ConfigError, EvaluateConfig
 from bbq_torchrl.options.values import replica_values
 from bbq_torchrl.pages import page
-from bbq_torchrl.shipped import run_folder
+from bbq_torchrl.runs.compose import compose, run_of
+from bbq_torchrl.runs.overrides import take_config_dir
+from bbq_torchrl.runs.resume import run_config
+from bbq_torchrl.runs.shipped import run_folder
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
@@ -56,7 +61,7 @@ Meaning and allowed values of a key: {page("reference/keys")}
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
-    interruption.tell(lambda: "in an evaluation", lambda: "the same command begins again")
+    interruption.tell(lambda: "in an evaluation", lambda: "the same command starts again")
     if not arguments or {"-h", "--help"} & set(arguments):
         output.write(USAGE)
         return 0
@@ -89,12 +94,12 @@ def evaluation(config: EvaluateConfig) -> dict[str, Any]:
     """
     import torch
 
-    from bbq_torchrl.cli.checks import check_device
-    from bbq_torchrl.cli.loading import trained_policy
-    from bbq_torchrl.cli.training import make_domain
     from bbq_torchrl.domains.parts import RANDOM_POLICY
     from bbq_torchrl.evaluation.rollouts import evaluate
-    from bbq_torchrl.evaluation.statistics import binomial_standard_error
+    from bbq_torchrl.runs.build import make_domain
+    from bbq_torchrl.runs.checks import check_device
+    from bbq_torchrl.runs.loading import trained_policy
+    from bbq_torchrl.statistics import binomial_standard_error
     from bbq_torchrl.trainers import keep_freed_memory
 
     check_device(config.device)
@@ -164,7 +169,7 @@ def evaluation(config: EvaluateConfig) -> dict[str, Any]:
 
 def _write_log(config: EvaluateConfig, env: DialogueEnv, policy: TensorDictModuleBase) -> None:
     """Writes the first dialogues of the evaluation as readable acts."""
-    from bbq_torchrl.evaluation.transcripts import transcripts
+    from bbq_torchrl.evaluation.rollouts import transcripts
 
     assert config.log is not None
     file = Path(expanduser(config.log))

@@ -1,4 +1,4 @@
-"""Extras of the project: their libraries, and how they are added to it as it is installed here."""
+"""Extras of the project: how they are installed here, their libraries, and a database address."""
 
 from __future__ import annotations
 
@@ -48,6 +48,28 @@ def needed(package: str, module: str, extra: str = "language") -> Any:
             f"{package} is needed and not installed: {install_command(extra)}",
             name=error.name,
         ) from None
+
+
+def sqlite_url(file: Path) -> str:
+    """Returns SQLAlchemy's address of a file, whatever characters its path has.
+
+    A path that is put into such an address as it is leads elsewhere if it has a ``%``, ``#`` or
+    ``?``. As a file URI it is read alike by SQLAlchemy 2.0, which leaves the name of a database as
+    it is, and by 2.1, which quotes it.
+
+    Args:
+        file: an absolute path.
+
+    Examples:
+        >>> from pathlib import Path
+        >>> sqlite_url(Path("/runs/a?b.db"))  # doctest: +ELLIPSIS
+        'sqlite+pysqlite:///file...uri=true'
+    """
+    from sqlalchemy.engine import URL  # comes with Optuna and with MLflow
+
+    # The driver is named because MLflow makes folders of an address that begins with "sqlite:///".
+    url = URL.create("sqlite+pysqlite", database=file.as_uri(), query={"uri": "true"})
+    return url.render_as_string()
 
 
 def _origin() -> str:

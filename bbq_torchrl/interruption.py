@@ -1,8 +1,8 @@
-"""Ctrl-C and SIGTERM: a command ends by one line that says how far it is and how to go on.
+"""Ctrl-C and SIGTERM: a command ends with one line that says how far it is and how to continue.
 
-A training ends after the round under way, with a checkpoint of it (:func:`gently`); a second signal
-ends it at once, and so does the first one wherever there is nothing to save. Every file of a run is
-written so that a process can die at any moment, so at once is: without unwinding, and so without a
+A training ends after the round under way, with a checkpoint of it (:func:`on_interrupt`). A second
+signal ends it at once, and so does the first one where there is nothing to save. Every file of a
+run is written so that a process can die at any moment: it ends without unwinding, and so without a
 traceback out of some import. This module imports nothing that takes time.
 """
 
@@ -27,22 +27,22 @@ _ORPHANED = 1  # the exit code of a worker that nobody waits for any more
 
 
 class Interrupted(BaseException):
-    """What a signal has stopped in good order; :func:`line` is what the command ends by."""
+    """Raised where a signal has stopped the work in good order; :func:`line` says how far it is."""
 
 
 class _State:
-    """What the handler knows: a process has one."""
+    """State of the signal handler of this process."""
 
     received: int | None = None
     stop: Callable[[], None] | None = None
     ends_with_parent = False
 
     where: ClassVar[Callable[[], str]] = staticmethod(lambda: "while starting")
-    how: ClassVar[Callable[[], str]] = staticmethod(lambda: "the same command begins again")
+    how: ClassVar[Callable[[], str]] = staticmethod(lambda: "the same command starts again")
 
 
 def listen() -> None:
-    """Has Ctrl-C and SIGTERM end this process by a line, where nobody else handles them."""
+    """Makes Ctrl-C and SIGTERM end this process with a line, unless something else handles them."""
     # Python's process that clears away semaphores would add a warning to the line.
     quiet, others = "ignore:resource_tracker:UserWarning", os.environ.get("PYTHONWARNINGS", "")
     if quiet not in others:
@@ -78,7 +78,7 @@ def tell(
 
     Args:
         where: how far the work is, such as ``"after 16 of 25 rounds"``.
-        how_to_go_on: such as ``"python train.py resume=runs/x goes on"``.
+        how_to_go_on: such as ``"python train.py resume=runs/x continues it"``.
     """
     _State.where = where or _State.where
     _State.how = how_to_go_on or _State.how
@@ -90,11 +90,11 @@ def line() -> str:
 
 
 @contextmanager
-def gently(stop: Callable[[], None]) -> Iterator[None]:
-    """Within it, the first signal calls ``stop``; :func:`check` then raises. The second one ends.
+def on_interrupt(stop: Callable[[], None]) -> Iterator[None]:
+    """Calls ``stop`` at the first signal within it, after which :func:`check` raises.
 
     Args:
-        stop: has the work come to an end by itself.
+        stop: makes the work end by itself.
     """
     before, _State.stop = _State.stop, stop
     try:

@@ -1,7 +1,7 @@
-"""What commands print, and how they end where it cannot be printed.
+"""Output of commands, and their exit codes where it cannot be written.
 
 The reader of a pipe may have gone (``| head``), a disk may be full, a stream may be closed. Python
-alone would end such a command in a traceback, or by an exit code of its own.
+alone would end such a command in a traceback, or with another exit code.
 """
 
 from __future__ import annotations
@@ -48,7 +48,7 @@ def write(text: str) -> None:
         sys.exit(NO_READER)
     except OSError as error:
         _discard(sys.stdout)
-        complain(f"error: standard output cannot be written: {sentence(error)}")
+        print_error(f"error: standard output cannot be written: {sentence(error)}")
         sys.exit(NOT_WRITTEN)
 
 
@@ -58,7 +58,7 @@ def escape() -> None:
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
-def complain(line: str) -> None:
+def print_error(line: str) -> None:
     """Prints a line on standard error, if that can be: the exit code tells the same."""
     if sys.stderr is not None:
         try:
@@ -69,7 +69,7 @@ def complain(line: str) -> None:
 
 
 def refusing(main: Callable[Given, int]) -> Callable[Given, int]:
-    """Has a command line end with exit code 2, after a sentence, where what is given is wrong.
+    """Makes a command line end with a sentence and exit code 2 where an argument is wrong.
 
     That is a ValueError, an OSError, or a library of an extra that is not installed.
     """
@@ -79,7 +79,7 @@ def refusing(main: Callable[Given, int]) -> Callable[Given, int]:
         try:
             return main(*args, **kwargs)
         except (ValueError, OSError, ModuleNotFoundError) as error:
-            complain(f"error: {sentence(error)}")
+            print_error(f"error: {sentence(error)}")
             return 2
 
     return refused

@@ -1,4 +1,4 @@
-"""What a run's files are called, and how a file is written at once."""
+"""Names of a run's files, and atomic writing."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ HYDRA = ".hydra"
 """The folder in which Hydra notes what it composed."""
 
 OVERRIDES = f"{HYDRA}/overrides.yaml"
-"""What was given on the command line; Hydra writes it."""
+"""The overrides of the command line; Hydra writes it."""
 
 LOCK = ".lock"
 """The file that is locked; the file stays, the lock ends with its process."""

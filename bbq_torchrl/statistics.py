@@ -1,15 +1,187 @@
-"""Statistics that trainings and people share: Student's interval of a mean, Holm's adjustment."""
+"""Estimates over training seeds and their intervals. The unit is the seed, never the dialogue.
+
+Dialogues of one trained agent only tell how well *that* agent was measured
+(:func:`binomial_standard_error`); what another training would give is told by the spread over seeds
+(:func:`estimate`).
+"""
 
 from __future__ import annotations
 
+import math
+import warnings
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
+import numpy as np
 from scipy import stats
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
 CONFIDENCE = 0.95
+"""Of every interval."""
+
+RESAMPLES = 9_999
+MIN_BOOTSTRAP = 5
+"""Below so many seeds a bootstrap has too few distinct samples to mean anything."""
+
+ROUNDING = 1e-9
+"""By which a mean over rounds may miss its bounds."""
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A value over seeds with its interval.
+
+    Attributes:
+        value: the estimate.
+        low: lower end of the interval; NaN where there are too few seeds for one.
+        high: upper end of the interval; NaN where there are too few seeds for one.
+        spec: format of its numbers where none is given; ``+.3f`` shows the signs of differences.
+    """
+
+    value: float
+    low: float = math.nan
+    high: float = math.nan
+    spec: str = field(default=".3f", compare=False)
+
+    def __str__(self) -> str:
+        return format(self)
+
+    def __format__(self, spec: str) -> str:
+        """Formats each number by ``spec``, its own unless given."""
+        spec = spec or self.spec
+        if math.isnan(self.low):
+            return format(self.value, spec)
+        return f"{self.value:{spec}} [{self.low:{spec}}, {self.high:{spec}}]"
+
+    def csv_columns(self) -> dict[str, float]:
+        """Returns what stands in the columns of a CSV file."""
+        return {"": self.value, "_low": self.low, "_high": self.high}
+
+
+def binomial_standard_error(rate: float, dialogues: int) -> float:
+    """Standard error of a success rate over independent dialogues of one agent.
+
+    ``sqrt(rate (1 - rate) / dialogues)``, the maximum-likelihood estimate of the binomial's.
+
+    Args:
+        rate: successes / dialogues, in [0, 1].
+        dialogues: how many were played.
+
+    Examples:
+        >>> round(binomial_standard_error(0.5, 10_000), 4)
+        0.005
+    """
+    return math.sqrt(rate * (1 - rate) / dialogues)
+
+
+def interquartile_mean(values: Any, axis: int = -1) -> Any:
+    """Mean of the middle half: the lowest and the highest ``int(n / 4)`` of n values are dropped.
+
+    The 25 % trimmed mean that Agarwal et al. (2021, "Deep RL at the edge of the statistical
+    precipice") report. Five values keep the middle three; fewer than four keep all.
+
+    Examples:
+        >>> float(interquartile_mean([0.0, 1.0, 2.0, 3.0, 100.0]))
+        2.0
+    """
+    return stats.trim_mean(np.asarray(values, dtype=float), 0.25, axis=axis)
+
+
+def estimate(
+    values: Sequence[float], spec: str = ".3f", *, bounds: tuple[float, float] = (0.0, 1.0)
+) -> Estimate:
+    """The mean over training seeds with its 95 % Student t interval; none for a single seed.
+
+    The interval is cut where it leaves ``bounds``, as the truth cannot lie there.
+
+    The interval takes seeds for normally distributed. Of few seeds it is still right where a
+    bootstrap is too narrow: for five normally distributed seeds the BCa interval holds the mean in
+    about 85 % of cases.
+
+    Args:
+        values: one value for each seed.
+        spec: that of the :class:`Estimate`.
+        bounds: least and largest possible value; those of a rate unless given.
+
+    Raises:
+        ValueError: no values, or a value that is not finite or out of bounds.
+
+    Examples:
+        >>> print(estimate([0.7, 0.72, 0.74, 0.76, 0.78]))
+        0.740 [0.701, 0.779]
+        >>> print(estimate([0.35, 0.47]))
+        0.410 [0.000, 1.000]
+    """
+    data, (least, most) = _finite(values), bounds
+    if data.min() < least - ROUNDING or data.max() > most + ROUNDING:
+        raise ValueError(f"values must be from {least:g} to {most:g}, got {list(values)}")
+    if data.size == 1:
+        return Estimate(float(data[0]), spec=spec)
+    mean = float(data.mean())
+    half = half_width(data)
+    return Estimate(mean, max(least, mean - half), min(most, mean + half), spec)
+
+
+def estimate_iqm(values: Sequence[float]) -> Estimate:
+    """The interquartile mean over training seeds with its 95 % bootstrap interval.
+
+    Seeds are resampled with replacement, bias-corrected and accelerated (BCa,
+    ``scipy.stats.bootstrap``); percentiles where BCa is undefined. Below five seeds there is none.
+
+    Args:
+        values: one value for each seed.
+
+    Raises:
+        ValueError: no values, or a value that is not finite.
+
+    Examples:
+        >>> print(estimate_iqm([0.7, 0.72, 0.74, 0.76, 0.78]))
+        0.740 [0.707, 0.773]
+    """
+    data = _finite(values)
+    value = float(interquartile_mean(data))
+    if data.size < MIN_BOOTSTRAP:
+        return Estimate(value)
+    for method in ("BCa", "percentile"):  # BCa is undefined where all values are the same, say
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            interval = stats.bootstrap(
+                (data,),
+                interquartile_mean,
+                n_resamples=RESAMPLES,
+                confidence_level=CONFIDENCE,
+                method=method,
+                rng=np.random.default_rng(0),
+            ).confidence_interval
+        if math.isfinite(interval.low) and math.isfinite(interval.high):
+            break
+    return Estimate(value, float(interval.low), float(interval.high))
+
+
+def _finite(values: Sequence[float]) -> Any:
+    data = np.asarray(values, dtype=float)
+    if data.size == 0 or not np.isfinite(data).all():
+        raise ValueError(f"values must be finite numbers, at least one, got {list(values)}")
+    return data
+
+
+def t_test(differences: Sequence[float]) -> float:
+    """Returns the two-sided p-value of Student's t test that the mean difference is 0.
+
+    Of one difference it is 1. Where all are equal, so that there is no spread to judge by, it is 1
+    for differences of 0 and 0 for others.
+
+    Examples:
+        >>> round(t_test([0.1, 0.2, 0.3]), 4)
+        0.0742
+    """
+    if len(differences) < 2:
+        return 1.0
+    if len({*differences}) == 1:
+        return float(differences[0] == 0)
+    return float(stats.ttest_1samp(differences, 0).pvalue)
 
 
 def half_width(values: Any) -> float:

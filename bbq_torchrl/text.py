@@ -1,4 +1,4 @@
-"""What a person reads of an error: lines, in which no value takes more than its share."""
+"""Error messages: values are shortened, secrets hidden, faults listed."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _concealed: dict[str, str] = {}  # what is not shown -> what is, in its place
 
 
 class FaultsError(ValueError):
-    """Something that has several faults, each said in a line of its own.
+    """An error that lists several faults, one a line.
 
     Args:
         subject: what has them.

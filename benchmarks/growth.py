@@ -26,10 +26,10 @@ from typing import TYPE_CHECKING
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # so that `python benchmarks/growth.py` finds its own packages
 
-from bbq_torchrl.cli.store import compose  # noqa: E402
-from bbq_torchrl.cli.training import build_trainer  # noqa: E402
 from bbq_torchrl.domains import Domain, movie_domain  # noqa: E402
 from bbq_torchrl.envs import DialogueEnv  # noqa: E402
+from bbq_torchrl.runs.compose import compose  # noqa: E402
+from bbq_torchrl.runs.train import build_trainer  # noqa: E402
 from benchmarks.parts.learning import full_trainer  # noqa: E402
 from benchmarks.parts.simulator import play_simulator  # noqa: E402
 from benchmarks.parts.timing import one_thread, seconds  # noqa: E402

@@ -21,9 +21,9 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from bbq_torchrl.cli.store import compose
-from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.envs import scripted_policy
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import build_trainer
 from bbq_torchrl.trainers import rollouts
 from bbq_torchrl.trainers.collect import rows_per_replica
 from bbq_torchrl.trainers.learn import Update

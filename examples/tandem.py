@@ -27,8 +27,8 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from bbq_torchrl.cli.store import compose
-from bbq_torchrl.cli.training import build_trainer
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import build_trainer
 from bbq_torchrl.trainers.learn import Learner
 
 if TYPE_CHECKING:

@@ -2,8 +2,9 @@
 
     python scripts/ship_agent.py <run folder> bbqn_map
 
-writes ``bbq_torchrl/shipped/bbqn_map``: the Q-network's weights of one replica in half precision,
-with the run's configuration, command line and result. ``load_run("shipped:bbqn_map")`` loads it.
+writes ``bbq_torchrl/runs/shipped/bbqn_map``: the Q-network's weights of one replica, in half
+precision, with the run's configuration, command line and result.
+``load_run("shipped:bbqn_map")`` loads it.
 """
 
 from __future__ import annotations
@@ -13,12 +14,13 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-from bbq_torchrl import shipped
-from bbq_torchrl.cli.resume import description, run_config, save_config
-from bbq_torchrl.cli.training import make_agent, make_domain
 from bbq_torchrl.evaluation.results import read_result, write_json
 from bbq_torchrl.options.values import replica_values
 from bbq_torchrl.run_folder import CHECKPOINTS, CONFIG, OVERRIDES, RESULT
+from bbq_torchrl.runs import shipped
+from bbq_torchrl.runs.build import make_domain
+from bbq_torchrl.runs.resume import description, run_config, save_config
+from bbq_torchrl.runs.train import make_agent
 from bbq_torchrl.trainers import CheckpointFolder
 
 

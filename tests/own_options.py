@@ -7,8 +7,8 @@ from contextlib import contextmanager
 
 import pytest
 
-from bbq_torchrl.cli import store
 from bbq_torchrl.options import registry
+from bbq_torchrl.runs import compose as store
 
 
 @contextmanager

@@ -34,7 +34,7 @@ TINY = (
 def without_drawing() -> Iterator[None]:
     """Within it curves are empty files: drawing one takes as long as a short training."""
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr("bbq_torchrl.run.draw_run", lambda file, *_, **__: file.touch())
+        patch.setattr("bbq_torchrl.runs.final.draw_run", lambda file, *_, **__: file.touch())
         yield
 
 

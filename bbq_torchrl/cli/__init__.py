@@ -1,1 +1,1 @@
-"""The command lines: configurations composed by Hydra, checked, and what they run."""
+"""The console command ``bbq``."""

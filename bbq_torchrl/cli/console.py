@@ -9,7 +9,7 @@ from bbq_torchrl import __version__, interruption, output
 from bbq_torchrl.text import shown
 
 COMMANDS = {
-    "train": ("bbq_torchrl.cli.train", "train an agent and evaluate it, or many (--multirun)"),
+    "train": ("bbq_torchrl.runs.train", "train an agent and evaluate it, or many (--multirun)"),
     "evaluate": ("bbq_torchrl.evaluate", "play dialogues with a run or a scripted policy"),
     "search": ("bbq_torchrl.search.__main__", "search for hyper-parameters"),
     "report": ("bbq_torchrl.evaluation.report", "compare finished runs over their seeds"),
@@ -35,11 +35,11 @@ def main() -> int | None:
         return 0
     name = arguments[0]
     if name not in COMMANDS:
-        output.complain(
+        output.print_error(
             f"error: the command must be one of {', '.join(COMMANDS)}, got {shown(name)}"
         )
         return 2
-    interruption.tell(lambda: f"in bbq {name}", lambda: "the same command begins again")
+    interruption.tell(lambda: f"in bbq {name}", lambda: "the same command starts again")
     interruption.listen()
     module = importlib.import_module(COMMANDS[name][0])
     sys.argv[1:] = arguments[1:]

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from bbq_torchrl.evaluation.learning import areas, rounds_to_reach
-from bbq_torchrl.evaluation.metrics import Metrics, read_metrics
+from bbq_torchrl.evaluation.metrics import Metrics, areas, read_metrics, rounds_to_reach
 from bbq_torchrl.evaluation.results import (
     ReplicaResult,
     RunResult,
     TrainingEvaluation,
     read_result,
 )
-from bbq_torchrl.evaluation.statistics import (
+from bbq_torchrl.statistics import (
     Estimate,
     binomial_standard_error,
     estimate,

@@ -6,11 +6,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bbq_torchrl.evaluation.figures import draw_panels
-from bbq_torchrl.evaluation.groups import as_typed
+from bbq_torchrl.evaluation.groups import as_typed, runs_report
 from bbq_torchrl.evaluation.pairs import compare
-from bbq_torchrl.evaluation.runs import telling
-from bbq_torchrl.evaluation.statistics import estimate
-from bbq_torchrl.evaluation.tables import NONE, Report, Table
+from bbq_torchrl.evaluation.runs import distinguishing_keys
+from bbq_torchrl.reports import NONE, Report, Table
+from bbq_torchrl.statistics import estimate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -80,7 +80,7 @@ def _row(names: Sequence[str], row: Sequence[Group]) -> dict[str, Group]:
 
 
 def _changed(own: Mapping[str, Any], other: Mapping[str, Any]) -> list[str]:
-    return telling(key for key in {**own, **other} if own.get(key) != other.get(key))
+    return distinguishing_keys(key for key in {**own, **other} if own.get(key) != other.get(key))
 
 
 def _groups(names: Sequence[str]) -> int:
@@ -128,4 +128,4 @@ def ablations_report(groups: Sequence[Group]) -> Report:
         parts += [f"## {key}", Table(f"ablations_{key}", rows)]
     draw = partial(draw_panels, keys, title=f"{title} (*: the reference)", marked=reference)
     figures = {"ablations": ("A panel for each key", draw)}
-    return Report("ablations", title, groups, [*parts, ABLATIONS_NOTE], figures)
+    return runs_report("ablations", title, groups, [*parts, ABLATIONS_NOTE], figures)

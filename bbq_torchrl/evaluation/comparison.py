@@ -7,11 +7,11 @@ from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.evaluation.figures import COLORS, draw_comparison
-from bbq_torchrl.evaluation.groups import know_commits, references
-from bbq_torchrl.evaluation.learning import FIRST, LEVELS, WINDOW, reach
+from bbq_torchrl.evaluation.groups import know_commits, references, runs_report
+from bbq_torchrl.evaluation.metrics import FIRST, LEVELS, WINDOW, reach
 from bbq_torchrl.evaluation.pairs import EARLY, difference, pair
-from bbq_torchrl.evaluation.statistics import estimate, estimate_iqm
-from bbq_torchrl.evaluation.tables import NONE, Report, Table
+from bbq_torchrl.reports import NONE, Report, Table
+from bbq_torchrl.statistics import estimate, estimate_iqm
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -68,7 +68,7 @@ def comparison_report(groups: Sequence[Group]) -> Report:
         draw = partial(draw_comparison, drawn, title=title, references=references(drawn))
         name = "curves" if number == 1 else f"curves_{number}"
         figures[name] = ("Training success by round", draw)
-    return Report("report", _common(groups), groups, parts, figures)
+    return runs_report("report", _common(groups), groups, parts, figures)
 
 
 def _common(groups: Sequence[Group]) -> str:

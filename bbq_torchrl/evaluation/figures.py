@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import math
-from io import BytesIO
 from itertools import cycle
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bbq_torchrl.evaluation.statistics import estimate
-from bbq_torchrl.run_folder import write_bytes
+from bbq_torchrl.reports import save
+from bbq_torchrl.statistics import estimate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -298,10 +297,3 @@ def _add_legend(figure: Figure) -> None:
         legend.remove()
     figure.set_figwidth(max(figure.get_figwidth(), width))
     figure.set_figheight(figure.get_figheight() + max(0.0, height - LEGEND_HEIGHT))
-
-
-def save(figure: Figure, file: Path) -> None:
-    """Writes a figure as its file's ending says: a PNG or an SVG file."""
-    picture = BytesIO()
-    figure.savefig(picture, dpi=150, format=file.suffix.removeprefix("."))
-    write_bytes(file, picture.getvalue())

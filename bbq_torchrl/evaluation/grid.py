@@ -11,11 +11,11 @@ from functools import partial
 from typing import TYPE_CHECKING, NamedTuple
 
 from bbq_torchrl.evaluation.figures import draw_panels
-from bbq_torchrl.evaluation.groups import label
-from bbq_torchrl.evaluation.names import agent_name
+from bbq_torchrl.evaluation.groups import label, runs_report
 from bbq_torchrl.evaluation.pairs import NOT_RUN, compare
-from bbq_torchrl.evaluation.statistics import Estimate, estimate
-from bbq_torchrl.evaluation.tables import Report, Table
+from bbq_torchrl.evaluation.runs import agent_name
+from bbq_torchrl.reports import Report, Table
+from bbq_torchrl.statistics import Estimate, estimate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -106,7 +106,7 @@ def grid_report(groups: Sequence[Group]) -> Report:
             parts.append(Table(f"grid_{quantity}_by_{head}", pairs, words=2))
     draw = partial(draw_panels, grid, title="Learner x explorer")
     figures = {"grid": ("A panel for each learner", draw)}
-    return Report("grid", "Learner x explorer", groups, [*parts, GRID_NOTE], figures)
+    return runs_report("grid", "Learner x explorer", groups, [*parts, GRID_NOTE], figures)
 
 
 class _Cell(NamedTuple):
@@ -122,5 +122,5 @@ class _Cell(NamedTuple):
     def __str__(self) -> str:
         return f"{self.success} ({self.seeds} seeds)"
 
-    def columns(self) -> dict[str, float]:
-        return {**self.success.columns(), "_seeds": self.seeds}
+    def csv_columns(self) -> dict[str, float]:
+        return {**self.success.csv_columns(), "_seeds": self.seeds}

@@ -8,13 +8,16 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bbq_torchrl.evaluation.learning import areas, booked
+from bbq_torchrl.evaluation.metrics import areas, booked, rounds_to_reach
 from bbq_torchrl.evaluation.results import reference_lines
-from bbq_torchrl.evaluation.runs import names_option, read_run, telling
+from bbq_torchrl.evaluation.runs import distinguishing_keys, names_option, read_run
+from bbq_torchrl.reports import Report, Table
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
     from pathlib import Path
+
+    from matplotlib.figure import Figure
 
     from bbq_torchrl.evaluation.results import RunResult
     from bbq_torchrl.evaluation.runs import Replica
@@ -68,7 +71,7 @@ class Group:
     def booked(self, first: int) -> list[float]:
         """Share of the first training dialogues that succeeded, one value for each seed.
 
-        Empty where fewer were trained; see :func:`bbq_torchrl.evaluation.learning.booked`.
+        Empty where fewer were trained; see :func:`bbq_torchrl.evaluation.metrics.booked`.
         """
         return booked(self.success, self.round_dialogues, first)
 
@@ -84,7 +87,7 @@ class Group:
 
     @property
     def members(self) -> list[tuple[int, int, str, int]]:
-        """Which random numbers each seed has trained with, in the order of the values."""
+        """Identifies the random numbers that each seed trained with, in the order of the values."""
         return [replica.member for replica in self.replicas]
 
     @property
@@ -130,13 +133,18 @@ class Group:
 def read_groups(folders: Sequence[Path]) -> list[Group]:
     """Reads result folders. Returns a group for each setting, in the order in which they come.
 
-    Replicas of a run that have values of their own are of different settings.
+    Replicas of a run with different values are of different settings.
 
     Raises:
         ValueError: two runs are of the same setting and seed; and see :func:`read_run`.
     """
+    return grouped(replica for folder in folders for replica in read_run(folder))
+
+
+def grouped(replicas: Iterable[Replica]) -> list[Group]:
+    """Returns a group for each setting, as :func:`read_groups` does."""
     together: list[list[Replica]] = []
-    for replica in (replica for folder in folders for replica in read_run(folder)):
+    for replica in replicas:
         same = next((one for one in together if one[0].setting == replica.setting), None)
         if same is None:
             together.append([replica])
@@ -148,10 +156,10 @@ def read_groups(folders: Sequence[Path]) -> list[Group]:
                     f"({replica.result.seed}): seeds must differ to count as independent trainings"
                 )
         same.append(replica)
-    settings = [(replicas[0].agent, replicas[0].setting) for replicas in together]
+    settings = [(members[0].agent, members[0].setting) for members in together]
     return [
-        Group(label(*own, settings), tuple(replicas))
-        for own, replicas in zip(settings, together, strict=True)
+        Group(label(*own, settings), tuple(members))
+        for own, members in zip(settings, together, strict=True)
     ]
 
 
@@ -161,7 +169,7 @@ def know_commits(groups: Sequence[Group]) -> bool:
 
 
 def references(groups: Sequence[Group]) -> dict[str, float]:
-    """Returns who stands beside the groups in figures, as :func:`reference_lines` has it.
+    """Returns the policies that figures compare the groups with, as :func:`reference_lines` has it.
 
     Each rate is the mean over the runs that know it. Privileged policies are left out where a run
     does not know them, and all is where the users differ.
@@ -245,4 +253,54 @@ def _told_from(
             for key, value in setting.items()
             if key.partition(".")[0] not in _OF_AN_AGENT and other.get(key, value) != value
         ]
-    return set(telling(different))
+    return set(distinguishing_keys(different))
+
+
+def commits_text(groups: Sequence[Group]) -> str:
+    """Returns of which commits the runs are; empty where no run knows."""
+    if not know_commits(groups):
+        return ""
+    together: dict[str, list[str]] = {}
+    for group in groups:
+        together.setdefault(group.commit, []).append(group.label)
+    if len({replica.result.code for group in groups for replica in group.replicas}) == 1:
+        return f"All runs are of commit {groups[0].commit}."
+    lines = [f"- {commit}: {'; '.join(labels)}" for commit, labels in together.items()]
+    return "\n".join(["The runs are of different commits:\n", *lines])
+
+
+def replicas_table(groups: Sequence[Group]) -> Table:
+    """Returns a row for each replica."""
+    rows = [
+        {
+            "corpus": replica.result.domain,
+            "env": replica.result.env,
+            "agent": group.label,
+            "replica": replica.number,
+            "seed": replica.result.seed,
+            "rounds": replica.result.rounds,
+            "updates": replica.updates,
+            "success_rate": replica.own.success_rate,
+            "reward": replica.own.reward,
+            "turns": replica.own.turns,
+            "cumulative_success": replica.own.training_success,
+            "rounds_to_60": f"{reached:.0f}".replace("inf", ""),
+        }
+        | ({"commit": replica.result.code} if know_commits(groups) else {})
+        for group in groups
+        for replica, reached in zip(
+            group.replicas, rounds_to_reach(group.success, 0.6).tolist(), strict=True
+        )
+    ]
+    return Table("replicas", rows)
+
+
+def runs_report(
+    name: str,
+    title: str,
+    groups: Sequence[Group],
+    parts: Sequence[str | Table],
+    figures: Mapping[str, tuple[str, Callable[[], Figure]]],
+) -> Report:
+    """Returns a report on groups of runs: last their commits, and ``replicas.csv`` next to it."""
+    return Report(name, title, [*parts, commits_text(groups)], figures, [replicas_table(groups)])

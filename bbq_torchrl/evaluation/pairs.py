@@ -12,17 +12,16 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from bbq_torchrl.evaluation.learning import areas
-from bbq_torchrl.evaluation.runs import telling
-from bbq_torchrl.evaluation.statistics import estimate, t_test
-from bbq_torchrl.evaluation.tables import NONE
-from bbq_torchrl.statistics import holm
+from bbq_torchrl.evaluation.metrics import areas
+from bbq_torchrl.evaluation.runs import distinguishing_keys
+from bbq_torchrl.reports import NONE
+from bbq_torchrl.statistics import estimate, holm, t_test
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from bbq_torchrl.evaluation.groups import Group
-    from bbq_torchrl.evaluation.statistics import Estimate
+    from bbq_torchrl.statistics import Estimate
 
 ALPHA = 0.05
 
@@ -41,7 +40,7 @@ _OF_DIALOGUES = (
     "protocol.rounds",
     "protocol.dialogues",
 )
-"""How keys begin that decide which dialogues are seen."""
+"""Prefixes of the keys that decide which dialogues are seen."""
 
 NO_PARTNER = (
     "no replica has a partner (one of the same number in a run of the same seed, number of "
@@ -116,7 +115,10 @@ def _different_dialogues(one: Group, other: Group) -> list[str]:
         for key, value in one.setting.items()
         if key.startswith(_OF_DIALOGUES) and theirs.get(key, value) != value
     }
-    return [f"{key} differs ({', '.join(map(str, different[key]))})" for key in telling(different)]
+    return [
+        f"{key} differs ({', '.join(map(str, different[key]))})"
+        for key in distinguishing_keys(different)
+    ]
 
 
 def _compared(one: Group, other: Group) -> dict[str, tuple[list[float], list[float]]]:
@@ -146,7 +148,7 @@ class PValue(float):
     def __str__(self) -> str:
         return f"{float(self):.3f}" if self >= 0.001 else "< .001"
 
-    def columns(self) -> dict[str, float]:
+    def csv_columns(self) -> dict[str, float]:
         """Returns what stands in the columns of a CSV file."""
         return {"": float(self)}
 

@@ -5,6 +5,11 @@ What is on the results page of the documentation is made by the same functions.
 
 from __future__ import annotations
 
+if __name__ == "__main__":  # before anything that takes time to import
+    from bbq_torchrl import interruption
+
+    interruption.listen()
+
 import sys
 from dataclasses import replace
 from pathlib import Path
@@ -38,7 +43,7 @@ FORMS = {
 @output.refusing
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code."""
-    interruption.tell(lambda: "in a report", lambda: "the same command begins again")
+    interruption.tell(lambda: "in a report", lambda: "the same command starts again")
     parser = output.Parser(
         prog="python -m bbq_torchrl.evaluation.report",
         description="Compares finished runs over their seeds: prints the tables as Markdown.",

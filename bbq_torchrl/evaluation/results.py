@@ -9,8 +9,8 @@ from statistics import fmean
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bbq_torchrl.domains.parts import RANDOM_POLICY
-from bbq_torchrl.evaluation.statistics import binomial_standard_error
 from bbq_torchrl.run_folder import RESULT, write_text
+from bbq_torchrl.statistics import binomial_standard_error
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
@@ -23,7 +23,7 @@ LAST = 5
 
 @dataclass(frozen=True)
 class TrainingEvaluation:
-    """What the evaluations while training say, as success rates.
+    """The evaluations while training, as success rates.
 
     Attributes:
         last: of the last of them.
@@ -41,7 +41,7 @@ class TrainingEvaluation:
 
 @dataclass(frozen=True)
 class ReplicaResult:
-    """How one trained replica does.
+    """The final evaluation of one trained replica.
 
     Attributes:
         replica: its number.
@@ -68,7 +68,7 @@ class ReplicaResult:
 
 @dataclass(frozen=True)
 class RunResult:
-    """What result.json holds.
+    """The content of result.json.
 
     Attributes:
         agent: option of the group, such as ``bbqn``; likewise ``explore``, ``env``.
@@ -235,7 +235,7 @@ def _leaves(plain: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, f
 def reference_lines(
     scripted: Mapping[str, float], privileged: Mapping[str, float]
 ) -> dict[str, float]:
-    """Returns who stands beside agents in figures: a label, and the success rate.
+    """Returns the lines that figures compare agents with: label to success rate.
 
     Args:
         scripted: success rates of scripted policies by name; the best of them is the line to beat.
@@ -249,11 +249,15 @@ def reference_lines(
         f"{name} (privileged: it reads what no agent is shown)": rate
         for name, rate in privileged.items()
     }
-    scripts = {name: rate for name, rate in scripted.items() if name != RANDOM_POLICY}
-    if scripts:
-        best = max(scripts, key=lambda name: scripts[name])
-        lines[f"{best} (best script measured)"] = scripts[best]
+    if (best := best_script(scripted)) is not None:
+        lines[f"{best} (best script measured)"] = scripted[best]
     return lines
+
+
+def best_script(scripted: Mapping[str, float]) -> str | None:
+    """Returns the scripted policy with the highest success rate, but for the random one."""
+    names = [name for name in scripted if name != RANDOM_POLICY]
+    return max(names, key=scripted.__getitem__, default=None)
 
 
 def write_json(content: RunResult | dict[str, Any], file: Path) -> None:

@@ -1,19 +1,36 @@
-"""Playing many dialogues with a policy that does not learn."""
+"""Dialogues with a policy that does not learn: final, while training, or as people read them."""
 
 from __future__ import annotations
 
+import math
+from dataclasses import KW_ONLY, dataclass, field
 from typing import TYPE_CHECKING
 
 import torch
+from torch import nn
 from torchrl.envs.utils import ExplorationType
 
-from bbq_torchrl.trainers import EpisodeStats, Policy, derive_seed, episode_stats, rollouts
+from bbq_torchrl.protocols import enter_round
+from bbq_torchrl.simulator import Transcript
+from bbq_torchrl.trainers import (
+    BestWeights,
+    EpisodeStats,
+    Policy,
+    derive_seed,
+    episode_stats,
+    rollouts,
+)
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Callable, Collection, Iterator
 
     from tensordict import TensorDictBase
+    from tensordict.nn import TensorDictModuleBase
+    from torch import Tensor
     from torchrl.envs import EnvBase
+
+    from bbq_torchrl.envs import DialogueEnv
+    from bbq_torchrl.trainers import Policy
 
 
 def evaluate(
@@ -50,3 +67,110 @@ def evaluation_rollouts(
     env.set_seed(derive_seed(seed, "env", "evaluate"))
     greedy = ExplorationType.DETERMINISTIC
     yield from rollouts(env, policy, dialogues, max_steps=max_steps, exploration=greedy)
+
+
+_COLUMNS = ("eval_success_rate", "eval_reward", "eval_turns")
+
+
+@dataclass(eq=False)
+class RoundEvaluator:
+    """Plays the reported policy, without exploration, at the end of every few rounds.
+
+    The dialogues are of an environment and a seed of their own, one for each round, so that the
+    training does not notice, and two agents of one seed meet the same users. The domain is in the
+    state of the round.
+
+    Args:
+        env: batch size [replicas, places], not the training's.
+        policy: returns the policy, sharing the weights that are trained; called for each
+            evaluation, so that draws of weights are new ones.
+        every: rounds between two evaluations: the first is at the end of round ``every - 1``.
+        dialogues: of an evaluation, for each replica.
+        seed: the run's.
+        max_steps: the most turns of a dialogue.
+        changes: the rounds in which the environment becomes another one.
+
+    Attributes:
+        best: each replica's weights at its best evaluation. What was before the domain grew counts
+            only until the next evaluation.
+    """
+
+    env: EnvBase
+    policy: Callable[[], TensorDictModuleBase]
+    _: KW_ONLY
+    every: int
+    dialogues: int
+    seed: int
+    max_steps: int = 1000
+    changes: Collection[int] = ()
+    best: BestWeights = field(init=False)
+
+    def __post_init__(self) -> None:
+        self.best = BestWeights(self.policy(), self.env.batch_size[0])
+
+    def __call__(self, round_number: int) -> dict[str, float | Tensor]:
+        """Returns mean statistics, [replicas] each; NaN in a round without an evaluation."""
+        if (round_number + 1) % self.every:
+            return dict.fromkeys(_COLUMNS, math.nan)
+        enter_round(self.env, round_number)
+        seed = derive_seed(self.seed, "evaluate while training", round_number)
+        stats = evaluate(
+            self.env, self.policy(), self.dialogues, seed=seed, max_steps=self.max_steps
+        )
+        means = [entry.double().mean(-1) for entry in stats]
+        since = max((change for change in self.changes if change <= round_number), default=0)
+        self.best.update(round_number, means[0], since=since)
+        return dict(zip(_COLUMNS, means, strict=True))
+
+
+def transcripts(env: DialogueEnv, policy: Policy, dialogues: int, *, seed: int = 0) -> list[str]:
+    """Plays dialogues and returns them as texts, a line a turn.
+
+    They are the dialogues that :func:`~bbq_torchrl.evaluation.rollouts.evaluate` counts first with
+    the same environment and seed; of a run of several replicas, the first one's.
+
+    Args:
+        env: batch size [replicas, places].
+        policy: writes an action.
+        dialogues: how many.
+        seed: of everything random in them.
+    """
+    transcript = Transcript(env.simulator.domain)
+    recorder = _Recorder(env, policy)
+    texts: list[str] = []
+    for rollout in evaluation_rollouts(env, recorder, dialogues, seed=seed):
+        states = [*recorder.states, env.dialogues[0].cpu()]
+        recorder.states.clear()
+        for place in range(rollout.batch_size[-2]):
+            texts.append(_text(transcript, len(texts), [state[place] for state in states]))
+    return texts
+
+
+class _Recorder(nn.Module):
+    """A policy that keeps what the first replica's dialogues are before each of its actions.
+
+    A module, so that the policy within is put into evaluation mode as it would be by itself.
+    """
+
+    def __init__(self, env: DialogueEnv, policy: Policy) -> None:
+        super().__init__()
+        self.policy = policy
+        self.states: list[TensorDictBase] = []
+        # An environment is a module too; as an attribute it would become a part of the policy.
+        self._dialogues = lambda: env.dialogues[0].cpu()
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Notes the dialogues, then acts."""
+        self.states.append(self._dialogues())
+        return self.policy(tensordict)
+
+
+def _text(transcript: Transcript, number: int, states: list[TensorDictBase]) -> str:
+    """Returns one dialogue: its goal, its turns, how it ended."""
+    lines = [f"dialogue {number + 1}: {transcript.goal(states[0])}"]
+    for state in states:
+        lines += [f"  {line}" for line in transcript.lines(state)]
+        if bool(state["done"]):
+            lines.append("  success" if bool(state["success"]) else "  failure")
+            break
+    return "\n".join(lines) + "\n"

@@ -12,7 +12,6 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.evaluation.metrics import read_metrics
-from bbq_torchrl.evaluation.names import agent_name
 from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.plain_yaml import read_yaml
 from bbq_torchrl.run_folder import CONFIG, METRICS, RESULT, folder_of, numbers_in_order
@@ -24,6 +23,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.evaluation.metrics import Metrics
     from bbq_torchrl.evaluation.results import ReplicaResult, RunResult
+
 
 _OF_A_SEED = ("seed", "replicas", "resume", "device", "threads", "logger")
 """Keys in which runs of one setting may differ, whole groups too."""
@@ -79,7 +79,7 @@ class Replica:
 
     @property
     def member(self) -> tuple[int, int, str, int]:
-        """Which random numbers it has trained with: the same ones as any that is equal in this.
+        """Identifies the random numbers it trained with: equal members share them.
 
         The run's seed, how many replicas it has (random numbers are drawn for all of them
         together), the type of its device, and the replica's number.
@@ -101,7 +101,7 @@ class Replica:
         return agent_name(self.config)
 
 
-def telling(keys: Iterable[str]) -> list[str]:
+def distinguishing_keys(keys: Iterable[str]) -> list[str]:
     """Returns which keys tell two settings apart: where an option differs, its name says enough.
 
     Args:
@@ -109,7 +109,7 @@ def telling(keys: Iterable[str]) -> list[str]:
             do: of three options two can be the same, and differ in another key.
 
     Examples:
-        >>> telling(["env.every", "env.name", "env.start", "spike.dialogues"])
+        >>> distinguishing_keys(["env.every", "env.name", "env.start", "spike.dialogues"])
         ['env.name', 'spike.dialogues']
     """
     keys = list(keys)
@@ -118,7 +118,7 @@ def telling(keys: Iterable[str]) -> list[str]:
 
 
 def names_option(key: str) -> bool:
-    """Whether a dotted key is the name of a group's option: ``explore.name``."""
+    """Returns whether a dotted key is the name of a group's option: ``explore.name``."""
     return key.partition(".")[2] == "name"
 
 
@@ -149,8 +149,7 @@ def find_results(places: Iterable[Path]) -> list[Path]:
 def find_unfinished(places: Iterable[Path]) -> list[Path]:
     """Returns the run folders in or below the given folders that have no result yet.
 
-    The result of a run that goes on to more rounds is none yet. A job of a sweep that never began
-    is among them.
+    Those include runs that continue to more rounds, and jobs of a sweep that never began.
     """
     files = [file for place in places for name in (CONFIG, METRICS) for file in place.rglob(name)]
     known = {folder_of(file).resolve(): file for file in files}  # the metrics where there are
@@ -164,13 +163,13 @@ def find_unfinished(places: Iterable[Path]) -> list[Path]:
 
 
 def _is_of_a_run(file: Path) -> bool:
-    """Whether a configuration is that of a training; other programs call theirs so, too."""
+    """Returns whether a configuration is a training's; other programs have files of that name."""
     config = _readable(file)
     return isinstance(config, dict) and {"agent", "protocol"} <= config.keys()
 
 
 def _is_extended(folder: Path) -> bool:
-    """Whether a run with a result goes on to more rounds; not where a file is damaged."""
+    """Returns whether a run with a result continues to more rounds; False for a damaged file."""
     try:
         rounds = _readable(folder / CONFIG)["protocol"]["rounds"]
         return bool(read_result(folder).rounds < rounds)
@@ -217,3 +216,55 @@ def _flat(config: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
         key = f"{prefix}{name}"
         leaves += _flat(value, f"{key}.") if isinstance(value, dict) else [(key, value)]
     return leaves
+
+
+_OF_THE_PAPER = {"bbqn": "BBQN", "bootstrap": "DQN-Bootstrap", "dqn": "DQN"}
+"""``agent=`` -> its name. What keys of other agents mean is not known here."""
+
+
+def agent_name(config: Mapping[str, Any]) -> str:
+    """Returns a name such as ``BBQN-MAP`` or ``DQN-VIME-MC``.
+
+    BBQN-VIME-MC stands for targets and information gain both at weight draws; where the two
+    differ, both are named. An agent or an intrinsic reward that does not come with the package is
+    called by its option's name, in capitals, whatever keys it has.
+
+    Args:
+        config: the composed configuration, nested mappings; groups that a version did not have
+            yet may be absent.
+
+    Examples:
+        >>> agent_name({"agent": {"name": "dqn"}, "explore": {"name": "boltzmann"}})
+        'DQN-Boltzmann'
+        >>> bbqn = {"agent": {"name": "bbqn", "target": "mc"}, "explore": {"name": "thompson"}}
+        >>> agent_name(bbqn | {"intrinsic": {"name": "vime", "weights": "mc"}})
+        'BBQN-VIME-MC'
+        >>> bbqn["explore"]["name"], bbqn["agent"]["target"] = "thompson_boltzmann", "map"
+        >>> agent_name(bbqn)
+        'Soft BBQN-MAP'
+        >>> agent_name({"agent": {"name": "polyak"}, "intrinsic": {"name": "visits"}})
+        'POLYAK-VISITS'
+    """
+    option, intrinsic = str(config["agent"]["name"]), config.get("intrinsic") or {}
+    is_known = option in _OF_THE_PAPER
+    agent, explore = (config["agent"], config.get("explore") or {}) if is_known else ({}, {})
+    target = str(agent["target"]).upper() if agent.get("target") else None
+    reward = str(intrinsic.get("name", "none"))
+    gain = str(intrinsic["weights"]).upper() if reward == "vime" else None
+    name = _OF_THE_PAPER.get(option, option.upper())
+    if agent.get("noisy"):
+        name = f"Noisy {name}"
+    if agent.get("double"):
+        name = f"Double {name}"
+    if explore.get("name") == "thompson_boltzmann":
+        name = f"Soft {name}"
+    parts = [name]
+    if explore.get("name") == "boltzmann":
+        parts.append("Boltzmann")
+    if target is not None and target != gain:
+        parts.append(target)
+    if reward != "none":
+        parts.append(reward.upper())
+    if gain is not None:
+        parts.append(gain)
+    return "-".join(parts)

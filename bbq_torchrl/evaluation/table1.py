@@ -16,11 +16,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bbq_torchrl.evaluation.comparison import booked_columns
 from bbq_torchrl.evaluation.figures import draw_families
-from bbq_torchrl.evaluation.groups import references
-from bbq_torchrl.evaluation.learning import FIRST, reach
+from bbq_torchrl.evaluation.groups import references, runs_report
+from bbq_torchrl.evaluation.metrics import FIRST, reach
 from bbq_torchrl.evaluation.pairs import EARLY, NOT_RUN, compare
-from bbq_torchrl.evaluation.statistics import estimate, estimate_iqm
-from bbq_torchrl.evaluation.tables import NONE, Report, Table
+from bbq_torchrl.reports import NONE, Report, Table
+from bbq_torchrl.statistics import estimate, estimate_iqm
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 
 class PaperCell(NamedTuple):
-    """What the paper reports of an agent, on its own corpus and with its own noise.
+    """The paper's numbers for an agent, on its corpus and with its noise.
 
     Attributes:
         success_rate: of 10,000 dialogues after training, mean of five runs.
@@ -70,7 +70,7 @@ PAPER = {
 """Environment -> agent -> the paper's cell (AAAI 2018, Table 1)."""
 
 OURS = "BBQN-MAP"
-"""What each other agent is compared with."""
+"""The agent that each other one is compared with."""
 
 FAMILIES = {
     "BBQN": ("BBQN-MC", "BBQN-VIME-MAP", "BBQN-VIME-MC"),
@@ -120,7 +120,7 @@ def table1_report(groups: Sequence[Group]) -> Report:
     parts: list[str | Table] = [f"Not run: {'; '.join(missing)}."] if missing else []
     for env in PAPER:
         parts += [f"## env={env}", _cells_table(cells[env], env), _pairs_table(cells[env], env)]
-    return Report(
+    return runs_report(
         "table1",
         f"Table 1: {len(names) - len(missing)} of {len(names)} cells",
         [group for found in cells.values() for group in found.values()],

@@ -2,17 +2,22 @@
 
 from __future__ import annotations
 
+if __name__ == "__main__":  # before anything that takes time to import
+    from bbq_torchrl import interruption
+
+    interruption.listen()
+
 import json
 import logging
 import sys
 from typing import TYPE_CHECKING
 
 from bbq_torchrl import interruption, output
-from bbq_torchrl.cli.messages import take_config_dir
 from bbq_torchrl.extras import needed
 from bbq_torchrl.options.registry import options
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.pages import page
+from bbq_torchrl.runs.overrides import take_config_dir
 from bbq_torchrl.search.definition import SEARCH, compose_search
 from bbq_torchrl.text import sentence
 
@@ -23,7 +28,7 @@ USAGE = """\
 usage: python -m bbq_torchrl.search search=<name> [search.<key>=<value> ...] [<key>=<value> ...]
 
 Searches for hyper-parameters by Optuna. Every trial is a run of bbq train with the keys given;
-started again with the same command, a search goes on. Prints the best trial as one line of JSON.
+the same command continues a search. Prints the best trial as one line of JSON.
 
   search=      {names}, or a YAML file
   search.trials=, search.objective=, search.folder=, ...
@@ -41,7 +46,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         the exit code: 1 if no trial was completed or a file could not be written, 2 if refused.
     """
     arguments = sys.argv[1:] if arguments is None else list(arguments)
-    interruption.tell(lambda: "in a search", lambda: "the same command goes on with the search")
+    interruption.tell(lambda: "in a search", lambda: "the same command continues the search")
     if not arguments or {"-h", "--help"} & set(arguments):
         pages = {"scale": page("scale"), "keys": page("reference/keys")}
         output.write(USAGE.format(names=", ".join(options(SEARCH)), **pages))
@@ -50,8 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         search = compose_search(take_config_dir(arguments))
         # Imported here: torch, torchrl and Optuna take seconds, what is refused above takes none.
         optuna = needed("optuna", "optuna", "search")
-        from bbq_torchrl.cli.checks import check
-        from bbq_torchrl.run import run
+        from bbq_torchrl.runs.checks import check
+        from bbq_torchrl.runs.train import run
         from bbq_torchrl.search.study import run_search
 
         for config in search.corners:
@@ -61,24 +66,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     optuna.logging.set_verbosity(optuna.logging.WARNING)
     try:
-        best = run_search(search, run, check)
+        best = run_search(search, run, lambda config: check(config).domain)
     except interruption.Interrupted:
-        output.complain(interruption.line())
+        output.print_error(interruption.line())
         return interruption.exit_code()
     except ConfigError as error:
         return _refused(error)
     except (OSError, optuna.exceptions.StorageInternalError) as error:
-        output.complain(f"error: {sentence(error)}; the same command goes on with the search")
+        output.print_error(f"error: {sentence(error)}; the same command continues the search")
         return 1
     if best is None:
-        output.complain(f"error: no trial was completed; {search.folder} has the reasons")
+        output.print_error(f"error: no trial was completed; {search.folder} has the reasons")
         return 1
     output.write(json.dumps(best) + "\n")
     return 0
 
 
 def _refused(error: Exception) -> int:
-    output.complain(f"error: {sentence(error)}")
+    output.print_error(f"error: {sentence(error)}")
     return 2
 
 

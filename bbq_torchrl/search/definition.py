@@ -21,8 +21,6 @@ from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
-from bbq_torchrl.cli.messages import too_large, unreadable
-from bbq_torchrl.cli.store import compose, load_yaml
 from bbq_torchrl.options.registry import config_folders, options
 from bbq_torchrl.options.settings import (
     ANY_TEXT,
@@ -35,6 +33,8 @@ from bbq_torchrl.options.settings import (
     optional,
     setting,
 )
+from bbq_torchrl.runs.compose import compose, load_yaml
+from bbq_torchrl.runs.overrides import too_large, unreadable
 from bbq_torchrl.search.space import Parameter, as_entry, parse_parameter
 from bbq_torchrl.text import conceal_environment, sentence, shown
 
@@ -44,7 +44,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.options import Config
 
 SEARCH = "search"
-"""What the search's own keys begin with, and the folder of its YAML files."""
+"""Prefix of the search's keys, and the folder of its YAML files."""
 
 _SPACE = f"{SEARCH}.space."
 _REFUSED = ("resume", "hydra")
@@ -98,7 +98,7 @@ class Search:
 
     @property
     def folder(self) -> Path:
-        """Where the search is kept."""
+        """The folder of the search."""
         chosen = self.settings.folder or f"runs/search_{self.name}"
         return Path(expanduser(chosen)).resolve()
 

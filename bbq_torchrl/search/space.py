@@ -1,4 +1,4 @@
-"""What one key of a search may be: a range of numbers, or a list of choices."""
+"""The values that a search tries for one key: a range of numbers, or a list of choices."""
 
 from __future__ import annotations
 

@@ -2,7 +2,7 @@
 
 Optuna keeps the trials in a database. Who works at a trial holds a lock on a file, which the
 operating system lets go when the process ends, however it ends: a trial that Optuna calls running
-and whose lock is free was killed, and whoever finds it first goes on with it.
+and whose lock is free was killed; the process that finds it first continues it.
 """
 
 from __future__ import annotations
@@ -20,10 +20,11 @@ from filelock import FileLock, Timeout
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.pool import NullPool
 
-from bbq_torchrl.cli.folders import refuse_links
+from bbq_torchrl.extras import sqlite_url
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.plain_yaml import read_yaml
 from bbq_torchrl.run_folder import CONFIG, write_text
+from bbq_torchrl.runs.folders import refuse_links
 from bbq_torchrl.search.space import Choices, as_entry
 from bbq_torchrl.search.trials import (
     Outcome,
@@ -32,7 +33,6 @@ from bbq_torchrl.search.trials import (
     trial_name,
     write_tables,
 )
-from bbq_torchrl.sqlite import sqlite_url
 from bbq_torchrl.text import sentence, shown
 from bbq_torchrl.trainers import TrainingError, derive_seed
 
@@ -57,20 +57,20 @@ def run_search(
     runner: Callable[..., RunResult],
     check: Callable[[Config], Domain | None] = lambda config: None,
 ) -> dict[str, Any] | None:
-    """Runs trials until there are as many as wanted. Returns the best; None if there is none.
+    """Runs trials until there are as many as wanted. Returns the best; None without a complete one.
 
-    A search that was interrupted goes on: what is finished stays, a killed trial is taken up from
+    An interrupted search continues: finished trials stay, a killed trial is taken up from
     its last checkpoint, and the values of new ones are those that they would have been.
 
     Args:
         search: what to search.
-        runner: trains one trial: ``bbq_torchrl.run.run``, called with configuration, folder,
-            callbacks after every round, and ``domain=``. The search goes on after a
+        runner: trains one trial: ``bbq_torchrl.runs.train.run``, called with configuration, folder,
+            callbacks after every round, and ``domain=``. The search continues after a
             TrainingError of it; any other error ends the search, and the trial is taken up when it
             is started again.
         check: what else is checked of a trial's configuration; returns the domain, which it has
             loaded. Of values that cannot be run together it raises ``ConfigError``: their trial
-            fails, and the search goes on.
+            fails, and the search continues.
 
     Raises:
         ConfigError: the folder holds another search, its trials are not those of the storage, or
@@ -113,7 +113,7 @@ def _run_trials(
 
 @contextmanager
 def _opened(search: Search) -> Iterator[optuna.Study]:
-    """Opens the study of a search, new or to go on with, and closes its database in the end."""
+    """Opens the study of a search, new or continued, and closes its database in the end."""
     folder = search.folder
     with ExitStack() as opened:
         try:
@@ -239,7 +239,7 @@ def _claimed(search: Search, study: optuna.Study, folder: Path) -> Iterator[optu
                     continue
                 # The way that Optuna itself makes the object of a trial in its database.
                 trial, own = optuna.Trial(study, known._trial_id), lock
-                _LOG.info("trial %d was interrupted and goes on", known.number)
+                _LOG.info("trial %d was interrupted and continues", known.number)
                 break
         if trial is None and len(trials) < _most_trials(search):
             trial = study.ask()
@@ -265,7 +265,7 @@ def _values(search: Search, study: optuna.Study, trial: optuna.Trial) -> dict[st
         seed = derive_seed(search.settings.seed, "search", trial.number, name)
         study.sampler = _sampler(search, seed % 2**32)
         bounds = as_entry(parameter)
-        # A trial that goes on gets the value it has.
+        # A trial that continues keeps its value.
         values[name] = getattr(trial, f"suggest_{bounds.pop('type')}")(name, **bounds)
     return values
 
@@ -275,7 +275,7 @@ def _has_choices_only(search: Search) -> bool:
 
 
 def _most_trials(search: Search) -> int:
-    """How many trials there are to be: of choices alone no setting is tried twice."""
+    """Returns the number of trials; in a space of choices alone no setting is tried twice."""
     if not _has_choices_only(search):
         return search.settings.trials
     return min(search.settings.trials, prod(len(item.probes) for item in search.space.values()))

@@ -12,11 +12,11 @@ from typing import TYPE_CHECKING, Any
 
 import optuna
 
-from bbq_torchrl.cli.messages import train_command
-from bbq_torchrl.cli.resume import is_finished, restarted_config
 from bbq_torchrl.evaluation.results import read_result, write_json
-from bbq_torchrl.evaluation.statistics import interquartile_mean
 from bbq_torchrl.run_folder import write_text
+from bbq_torchrl.runs.overrides import train_command
+from bbq_torchrl.runs.resume import is_finished, restarted_config
+from bbq_torchrl.statistics import interquartile_mean
 from bbq_torchrl.text import sentence
 from bbq_torchrl.trainers import TrainingError
 
@@ -37,7 +37,7 @@ BEST = "best.json"
 
 @dataclass(frozen=True)
 class Outcome:
-    """How a trial ended.
+    """The outcome of a trial.
 
     Attributes:
         state: complete, pruned or failed.
@@ -107,7 +107,7 @@ class _Reports:
     def __init__(self, trial: optuna.Trial, settings: SearchConfig) -> None:
         self._trial = trial
         self._settings = settings
-        # A trial that goes on from a checkpoint plays rounds again that it has reported already.
+        # A trial that continues from a checkpoint plays rounds again that it has reported already.
         known = trial.study.get_trials(deepcopy=False)[trial.number].intermediate_values
         self._reported = set(known)
 

@@ -6,9 +6,9 @@ import itertools
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.cli.store import compose
-from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.envs import scripted_policy
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import build_trainer
 from bbq_torchrl.trainers import rollout
 from bbq_torchrl.trainers.collect import rows_per_replica
 

@@ -12,10 +12,10 @@ from unittest.mock import patch
 
 import torch
 
-from bbq_torchrl.cli.store import compose
-from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.envs import DialogueEnv
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import build_trainer
 from bbq_torchrl.trainers.learn import Update
 from benchmarks.parts import processes
 from benchmarks.parts.host_draws import DrawsOnTheHost

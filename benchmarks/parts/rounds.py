@@ -54,7 +54,7 @@ def rounds(sizes: Sizes) -> list[Row]:
     share = save / trainer.checkpoint_every
     whole, outside = (median(took) + share for took in zip(*found, strict=True))
     # The start is what a process does before its first round, and the first round's compilation.
-    start += processes.python("-c", "import bbq_torchrl.run").wall - whole
+    start += processes.python("-c", "import bbq_torchrl.runs.train").wall - whole
     of_run = (start + ROUNDS * outside) / (start + ROUNDS * whole)
     what = "agent=bbqn env=full, a round with a full buffer"
     run_what = f"{ROUNDS} such rounds and the start of the process"

@@ -9,8 +9,8 @@ from statistics import median_low
 from time import process_time
 from typing import TYPE_CHECKING, NamedTuple
 
-from bbq_torchrl.cli.store import compose
-from bbq_torchrl.cli.training import build_trainer
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import build_trainer
 from benchmarks.parts import processes
 from benchmarks.parts.learning import AGENTS
 from benchmarks.parts.rows import Row
@@ -48,7 +48,7 @@ def time_to_learn(sizes: Sizes) -> list[Row]:
     there after the protocol's rounds goes on, with all schedules at their end, for up to
     ``sizes.learning_rounds`` rounds in all.
     """
-    start = processes.python("-c", "import bbq_torchrl.run").cpu
+    start = processes.python("-c", "import bbq_torchrl.runs.train").cpu
     rows = []
     for name in ("bbqn-map", "dqn"):
         overrides = (*AGENTS[name], "protocol=quick", *sizes.overrides, *sizes.learning_overrides)

@@ -8,10 +8,10 @@ import re
 from dataclasses import MISSING, Field, fields
 from typing import Any
 
-from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import CalibrateConfig, Config, EvaluateConfig, explorations, schemas
 from bbq_torchrl.options.registry import EXPERIMENT, options
 from bbq_torchrl.options.settings import REQUIRED
+from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.search.definition import SEARCH, SearchConfig
 from scripts.docs_blocks.common import block, code, table
 

@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from statistics import fmean
 from typing import TYPE_CHECKING
@@ -16,13 +17,13 @@ from PIL import Image
 from bbq_torchrl.domains.parts import PRIVILEGED_POLICY, RANDOM_POLICY
 from bbq_torchrl.evaluation import comparison, pairs, table1
 from bbq_torchrl.evaluation.ablations import ablations_report
-from bbq_torchrl.evaluation.figures import draw_comparison, save
+from bbq_torchrl.evaluation.figures import draw_comparison
 from bbq_torchrl.evaluation.grid import grid_report
 from bbq_torchrl.evaluation.groups import Group, read_groups
-from bbq_torchrl.evaluation.learning import rounds_to_reach
+from bbq_torchrl.evaluation.metrics import rounds_to_reach
 from bbq_torchrl.evaluation.results import reference_lines
-from bbq_torchrl.evaluation.statistics import estimate
-from bbq_torchrl.evaluation.tables import NONE, Report, replicas_table
+from bbq_torchrl.reports import NONE, Report, save
+from bbq_torchrl.statistics import estimate
 from scripts.docs_blocks import common
 from scripts.docs_blocks.common import block, code, command, paired, read_csv, table
 from scripts.docs_blocks.tables import measured
@@ -97,8 +98,8 @@ def draw_figures() -> None:
             if cells := table1.find_cells(kept, env):
                 _save(table1.draw_table1(cells, env, references), f"{folder}_{env}")
         if folder == "table1":
-            found = table1.table1_report(kept)
-            replicas_table(found.groups, "table1").write(common.RESULTS)
+            (replicas,) = table1.table1_report(kept).data
+            replace(replicas, name="table1").write(common.RESULTS)
     for folder, report in (("ablations", ablations_report), ("explorers", grid_report)):
         if kept := groups(folder):
             for name, (_, draw) in report(kept).figures.items():

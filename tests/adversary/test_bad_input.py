@@ -19,8 +19,8 @@ import forked
 import pytest
 import yaml
 
-from bbq_torchrl.cli.store import compose
-from bbq_torchrl.run import run
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import run
 
 from .cases import INPUTS, SEED, TINY
 from .commands import PROGRAMS

@@ -9,8 +9,8 @@ import pytest
 import torch
 from planted import rewritten
 
-from bbq_torchrl.cli.resume import description, load_config
-from bbq_torchrl.cli.training import build_trainer
+from bbq_torchrl.runs.resume import description, load_config
+from bbq_torchrl.runs.train import build_trainer
 from bbq_torchrl.trainers import CheckpointDamagedError, CheckpointMismatchError
 
 from .cases import DAMAGES

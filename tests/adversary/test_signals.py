@@ -14,7 +14,7 @@ from pathlib import Path
 import pytest
 from forked import ROOT, environment
 
-from bbq_torchrl.cli.folders import run_lock
+from bbq_torchrl.runs.folders import run_lock
 
 from .cases import CONFIGURATIONS, KILLS, TINY
 from .folders import assert_same
@@ -39,10 +39,10 @@ def test_a_run_that_is_interrupted_says_how_it_goes_on(
         if ended.code != 0:
             assert ended.code == 128 + number
             if (folder / "config.yaml").exists():
-                assert ended.line.endswith(f": python train.py resume={folder} goes on")
+                assert ended.line.endswith(f": python train.py resume={folder} continues it")
                 commands.run("train", f"resume={folder}")
             else:
-                assert ended.line == "interrupted while starting: the same command begins again"
+                assert ended.line == "interrupted while starting: the same command starts again"
                 commands.run("train", *new)
         assert_same(folder, reference.folder)
         record_property(SIGNALS, 1)
@@ -71,7 +71,7 @@ def test_an_evaluation_and_a_search_end_in_a_line_too(commands, rng):
     )
     assert (ended.code, ended.line) == (
         130,
-        "interrupted in an evaluation: the same command begins again",
+        "interrupted in an evaluation: the same command starts again",
     )
     pytest.importorskip("optuna", reason="needs the extra search")
     folder = commands.folder / "interrupted-search"
@@ -83,7 +83,7 @@ def test_an_evaluation_and_a_search_end_in_a_line_too(commands, rng):
     if ended.code != 0:
         assert ended.code == 143
         assert ended.err.splitlines()[-1].startswith("interrupted after ")
-        assert ended.err.splitlines()[-1].endswith(": the same command goes on with the search")
+        assert ended.err.splitlines()[-1].endswith(": the same command continues the search")
     commands.run("search", *command)
 
 

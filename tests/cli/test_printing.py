@@ -68,4 +68,4 @@ def test_an_encoding_without_a_character_is_no_error(standard_output, tmp_path):
 
 def test_a_line_for_a_closed_standard_error_is_let_go(monkeypatch):
     monkeypatch.setattr(sys, "stderr", None)
-    output.complain("error: something")
+    output.print_error("error: something")

@@ -6,12 +6,12 @@ from dataclasses import asdict
 
 import pytest
 
-from bbq_torchrl.cli.resume import load_config, save_config
-from bbq_torchrl.cli.store import compose
-from bbq_torchrl.evaluation.names import agent_name
+from bbq_torchrl.evaluation.runs import agent_name
 from bbq_torchrl.options import explorations, registry
 from bbq_torchrl.options.registry import options
 from bbq_torchrl.options.values import replica_values
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.resume import load_config, save_config
 
 RECIPES = {  # the paper's name, network, exploration, target, intrinsic reward
     "agents/dqn": ("DQN", "dqn", "epsilon_greedy", None, None),

@@ -14,11 +14,6 @@ from prepared import prepare
 from tiny import TINY
 
 from bbq_torchrl import load_run
-from bbq_torchrl.cli import store
-from bbq_torchrl.cli.messages import take_config_dir, train_command
-from bbq_torchrl.cli.resume import run_config, save_config
-from bbq_torchrl.cli.store import compose
-from bbq_torchrl.cli.train import main as train_main
 from bbq_torchrl.options import (
     AgentOption,
     ConfigError,
@@ -32,6 +27,11 @@ from bbq_torchrl.options import (
 )
 from bbq_torchrl.options.registry import options
 from bbq_torchrl.options.settings import COUNT, option, setting
+from bbq_torchrl.runs import compose as store
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.overrides import take_config_dir, train_command
+from bbq_torchrl.runs.resume import run_config, save_config
+from bbq_torchrl.runs.train import main as train_main
 
 STRATEGY = """
 from dataclasses import dataclass

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 import yaml
 
-from bbq_torchrl.cli.sweeps import table_of_runs
 from bbq_torchrl.people.study.plan import StudyError, load_study
 from bbq_torchrl.plain_yaml import check_yaml, read_yaml
+from bbq_torchrl.runs.sweeps import table_of_runs
 
 
 def doubled(first, pattern):

@@ -14,14 +14,14 @@ from tensordict import TensorDict
 from torchrl.data import Categorical
 from torchrl.envs.utils import check_env_specs
 
-from bbq_torchrl.cli.store import compose
-from bbq_torchrl.cli.train import main as train
 from bbq_torchrl.domains import load_domain
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
 from bbq_torchrl.networks import FlatMLP, q_actor
 from bbq_torchrl.objectives import OneStepQLoss
 from bbq_torchrl.options import EvaluateConfig
 from bbq_torchrl.options.registry import conf_folder
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import main as train
 from bbq_torchrl.search.definition import compose_search
 
 from .pages import PAGES, ROOT, commands, snippets

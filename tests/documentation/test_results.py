@@ -8,9 +8,9 @@ import pytest
 import yaml
 from result_folders import make_run
 
-from bbq_torchrl.cli.store import compose
 from bbq_torchrl.evaluation import comparison
 from bbq_torchrl.options import EvaluateConfig
+from bbq_torchrl.runs.compose import compose
 from scripts import keep_result, measure_policies
 from scripts.docs_blocks import BLOCKS, common, results
 

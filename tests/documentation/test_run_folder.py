@@ -8,8 +8,8 @@ import re
 import pytest
 from tiny import TINY
 
-from bbq_torchrl.cli.store import compose
-from bbq_torchrl.run import run
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import run
 
 from .pages import ROOT
 

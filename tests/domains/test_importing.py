@@ -11,12 +11,12 @@ from tiny import TINY
 
 from bbq_torchrl import calibrate
 from bbq_torchrl.cli import console
-from bbq_torchrl.cli.store import compose
-from bbq_torchrl.cli.training import spike_policy
 from bbq_torchrl.domains import REQUIRED_ACTS, Goal, load_domain
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
 from bbq_torchrl.evaluation.rollouts import evaluate
-from bbq_torchrl.run import run
+from bbq_torchrl.runs.build import spike_policy
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import run
 
 SLOTS = ["pickup", "dropoff", "car", "cost", "people", "greeting", "color", "taxi", "taskcomplete"]
 SLOTS += ["mc_list", "mc_list"]

@@ -8,9 +8,9 @@ import pytest
 from result_folders import sweeps
 from scipy import stats
 
-from bbq_torchrl.cli.store import compose
 from bbq_torchrl.evaluation.ablations import find_ablations
 from bbq_torchrl.evaluation.groups import read_groups
+from bbq_torchrl.runs.compose import compose
 
 OWN = [0.70, 0.80, 0.75, 0.72, 0.78]
 LESS = [0.66, 0.78, 0.70, 0.71, 0.72]

@@ -8,10 +8,10 @@ import pytest
 from result_folders import sweeps
 from scipy import stats
 
-from bbq_torchrl.cli.store import compose
 from bbq_torchrl.evaluation.grid import deviations, find_grid
 from bbq_torchrl.evaluation.groups import read_groups
-from bbq_torchrl.evaluation.names import agent_name
+from bbq_torchrl.evaluation.runs import agent_name
+from bbq_torchrl.runs.compose import compose
 
 OWN = [0.70, 0.80, 0.75, 0.72, 0.78]
 LESS = [0.60, 0.72, 0.64, 0.62, 0.66]

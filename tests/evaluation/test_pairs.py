@@ -6,11 +6,11 @@ import pytest
 import torch
 from scipy import stats
 
-from bbq_torchrl.cli.store import compose
-from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation.comparison import pair_parts
 from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.pairs import NO_PARTNER, Comparison, pair
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import build_trainer
 
 GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]
 BAD = [0.50, 0.40, 0.60, 0.55, 0.45]

@@ -6,8 +6,7 @@ import pytest
 import torch
 
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
-from bbq_torchrl.evaluation.rollouts import evaluate
-from bbq_torchrl.evaluation.transcripts import transcripts
+from bbq_torchrl.evaluation.rollouts import evaluate, transcripts
 from bbq_torchrl.exploration import Greedy
 from bbq_torchrl.networks import FlatMLP, q_actor
 

@@ -12,9 +12,9 @@ from torchrl.data import Categorical
 from torchrl.objectives import HardUpdate
 
 from bbq_torchrl.bayes import BayesMLP
-from bbq_torchrl.cli.store import compose
 from bbq_torchrl.networks import q_actor
 from bbq_torchrl.objectives import BBQNLoss
+from bbq_torchrl.runs.compose import compose
 
 
 @pytest.fixture

@@ -12,14 +12,13 @@ from extended import PACKAGE, SHRUNKEN
 from torchrl.data import Composite, Unbounded
 
 from bbq_torchrl import evaluate
-from bbq_torchrl.cli import store
-from bbq_torchrl.cli.checks import check
-from bbq_torchrl.cli.store import compose, explorations_table
-from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation import report
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.options import ConfigError, registry
-from bbq_torchrl.run import run
+from bbq_torchrl.runs import compose as store
+from bbq_torchrl.runs.checks import check
+from bbq_torchrl.runs.compose import compose, explorations_table
+from bbq_torchrl.runs.train import build_trainer, run
 from bbq_torchrl.search.definition import compose_search
 
 RUNS = {

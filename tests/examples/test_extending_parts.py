@@ -16,10 +16,10 @@ from torchrl.envs.utils import ExplorationType, check_env_specs, set_exploration
 from torchrl.objectives import HardUpdate
 
 from bbq_torchrl.bayes import BayesMLP, weight_scope
-from bbq_torchrl.cli.store import compose
-from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.networks import q_actor
 from bbq_torchrl.networks.growth import reset_inactive_
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import build_trainer
 
 pytestmark = pytest.mark.usefixtures("installed", "without_curves")
 

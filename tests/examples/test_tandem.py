@@ -9,9 +9,9 @@ import pytest
 import torch
 from tiny import rows
 
-from bbq_torchrl.cli.store import compose
-from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.evaluation import read_metrics
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import build_trainer
 
 TINY = (
     "replicas=2",

@@ -6,11 +6,11 @@ import pytest
 from acts import Acts
 from tiny import TINY, without_drawing
 
-from bbq_torchrl.cli.store import compose
 from bbq_torchrl.people.chat import Partner, TrainedAgent
 from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.language import Generator
-from bbq_torchrl.run import run
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import run
 
 SHRUNKEN = (*TINY, "protocol.rounds=1", "protocol.eval_every=0", "spike.policy=random")
 

@@ -18,9 +18,9 @@ import pytest
 from filelock import FileLock, Timeout
 from tiny import rows
 
-from bbq_torchrl.cli.resume import save_config
-from bbq_torchrl.cli.store import compose
 from bbq_torchrl.options import ConfigError
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.resume import save_config
 from bbq_torchrl.search.__main__ import main
 from bbq_torchrl.search.definition import Search, compose_search
 from bbq_torchrl.trainers import TrainingError
@@ -358,7 +358,7 @@ def test_a_full_disk_ends_the_command_in_a_sentence(tmp_path, monkeypatch, capsy
     def full(config, folder, callbacks, *, domain):
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(folder))
 
-    monkeypatch.setattr("bbq_torchrl.run.run", full)
+    monkeypatch.setattr("bbq_torchrl.runs.train.run", full)
     space = Path(__file__).with_name("dqn.yaml")
     assert main([f"search={space}", "search.trials=2", f"search.folder={tmp_path}"]) == 1
     told = capsys.readouterr().err.splitlines()[-1]

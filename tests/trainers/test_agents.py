@@ -6,9 +6,9 @@ import pytest
 import torch
 from tiny import TINY
 
-from bbq_torchrl.cli.store import compose
-from bbq_torchrl.cli.training import build_trainer
 from bbq_torchrl.options import Task
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import build_trainer
 from bbq_torchrl.trainers import losses_of
 from benchmarks.parts.host_waits import NeverWaits, drawn_as_on_a_device
 

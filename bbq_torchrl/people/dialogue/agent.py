@@ -13,11 +13,11 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl import __version__
-from bbq_torchrl.cli.loading import load_run
 from bbq_torchrl.envs import DialogueEnv
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.people.dialogue.posterior import path_draws, q_draws
 from bbq_torchrl.people.dialogue.talk import Belief, Beliefs
+from bbq_torchrl.runs.loading import load_run
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

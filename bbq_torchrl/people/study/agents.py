@@ -16,7 +16,7 @@ from bbq_torchrl.people.language import Generator, load_phrases
 from bbq_torchrl.people.language.cache import cached_understander, language_key
 from bbq_torchrl.people.language.phrases import GENERIC, has_own_phrases
 from bbq_torchrl.people.study import Reply, StudyError
-from bbq_torchrl.shipped import run_folder
+from bbq_torchrl.runs.shipped import run_folder
 
 if TYPE_CHECKING:
     from bbq_torchrl.people.study import Study

@@ -8,13 +8,13 @@ from io import BytesIO
 from itertools import chain
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.markdown import table
 from bbq_torchrl.people.study.comparisons import compare_pairs
 from bbq_torchrl.people.study.database import PRIVATE
 from bbq_torchrl.people.study.export import export
 from bbq_torchrl.people.study.records import HIGHEST, LOWEST, SCALES
 from bbq_torchrl.people.study.simulate import RATING_RULE
 from bbq_torchrl.people.study.statistics import auroc, kappa, mean, proportion
+from bbq_torchrl.reports import table
 from bbq_torchrl.run_folder import write_bytes, write_text
 
 if TYPE_CHECKING:

@@ -1,0 +1,160 @@
+"""Reports: text, figures, and tables that are shown as Markdown and kept as CSV."""
+
+from __future__ import annotations
+
+import csv
+import math
+import re
+from dataclasses import dataclass
+from io import BytesIO
+from typing import TYPE_CHECKING, Protocol, runtime_checkable
+
+from bbq_torchrl.run_folder import write_bytes
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from pathlib import Path
+
+    from matplotlib.figure import Figure
+
+NONE = "–"
+"""Stands in Markdown where there is nothing."""
+
+
+@runtime_checkable
+class Cell(Protocol):
+    """A value shown as one cell of a table, by ``str``, and kept as several columns."""
+
+    def csv_columns(self) -> Mapping[str, float]:
+        """Returns what the names of the columns end in -> the numbers, with all their digits."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table of a report.
+
+    Attributes:
+        name: of its CSV file.
+        rows: column to cell each; a column that a row lacks has a dash there. Of a name such as
+            ``reward: the paper's`` the part behind the colon is shown.
+        words: how many columns, the first ones, are not numbers.
+    """
+
+    name: str
+    rows: Sequence[Mapping[str, object]]
+    words: int = 1
+
+    def __str__(self) -> str:
+        """The table as Markdown; empty without rows."""
+        if not self.rows:
+            return ""
+        names = dict.fromkeys(name for row in self.rows for name in row)
+        cells = [[_shown(row.get(name, NONE)) for name in names] for row in self.rows]
+        head = [name.rpartition(": ")[2] for name in names]
+        return table(head, cells, numbers=len(head) - self.words)
+
+    def write(self, folder: Path) -> None:
+        """Writes the table as ``<name>.csv``, unrounded; no file where there are no rows.
+
+        A cell with an interval becomes several columns: ``final_success``, ``final_success_low``
+        and so on. What there is not, such as the interval of a single seed, is empty.
+        """
+        file = folder / f"{_plain(self.name)}.csv"
+        if not self.rows:
+            file.unlink(missing_ok=True)
+            return
+        lines = [_line(row) for row in self.rows]
+        names = dict.fromkeys(name for line in lines for name in line)
+        with file.open("w", encoding="utf-8", newline="") as stream:
+            writer = csv.DictWriter(stream, fieldnames=list(names), lineterminator="\n")
+            writer.writeheader()
+            writer.writerows(lines)
+
+
+@dataclass(frozen=True)
+class Report:
+    """A report: text, tables and figures.
+
+    Attributes:
+        name: of its Markdown file.
+        title: its heading.
+        parts: paragraphs and tables, in order.
+        figures: name of the file -> its title, and the function that draws it.
+        data: tables that are written as CSV only.
+    """
+
+    name: str
+    title: str
+    parts: Sequence[str | Table]
+    figures: Mapping[str, tuple[str, Callable[[], Figure]]]
+    data: Sequence[Table] = ()
+
+    @property
+    def body(self) -> str:
+        """The report below its heading, as Markdown."""
+        return "\n\n".join(filter(None, map(str, self.parts)))
+
+    def __str__(self) -> str:
+        return f"# {self.title}\n\n{self.body}\n"
+
+    def write(self, folder: Path) -> None:
+        """Writes ``<name>.md``, each table as CSV, each figure as PNG and as SVG."""
+        folder.mkdir(parents=True, exist_ok=True)
+        shown = [f"![{title}]({name}.png)\n" for name, (title, _) in self.figures.items()]
+        (folder / f"{self.name}.md").write_text("\n".join([str(self), *shown]), encoding="utf-8")
+        for part in (*self.parts, *self.data):
+            if isinstance(part, Table):
+                part.write(folder)
+        for name, (_, draw) in self.figures.items():
+            figure = draw()
+            for kind in ("png", "svg"):
+                save(figure, folder / f"{name}.{kind}")
+
+
+def _shown(cell: object) -> str:
+    return f"{cell:.2f}" if type(cell) is float else str(cell)
+
+
+def _line(row: Mapping[str, object]) -> dict[str, object]:
+    line: dict[str, object] = {}
+    for column, cell in row.items():
+        parts = cell.csv_columns() if isinstance(cell, Cell) else {"": cell}
+        line |= {_plain(column) + end: _kept(part) for end, part in parts.items()}
+    return line
+
+
+def _plain(name: str) -> str:
+    """Returns a name without spaces and the like: ``final_success`` for ``final success``."""
+    return re.sub(r"[^\w.]+", "_", name.lower().replace("'", "")).strip("_")
+
+
+def _kept(value: object) -> object:
+    is_none = value == NONE or (isinstance(value, float) and not math.isfinite(value))
+    return "" if is_none else value
+
+
+def table(head: Sequence[str], rows: Iterable[Sequence[object]], *, numbers: int = 0) -> str:
+    r"""Returns a Markdown table.
+
+    Args:
+        head: the column names.
+        rows: the cells; a pipe in one is escaped.
+        numbers: how many columns, the last ones, are aligned to the right.
+
+    Examples:
+        >>> print(table(("agent", "success"), [("a|b", 0.5)], numbers=1))
+        | agent | success |
+        | --- | ---: |
+        | a\|b | 0.5 |
+    """
+    words = len(head) - numbers
+    lines = [list(head), ["---"] * words + ["---:"] * numbers]
+    lines += [[str(cell).replace("|", "\\|") for cell in row] for row in rows]
+    return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+def save(figure: Figure, file: Path) -> None:
+    """Writes a figure as its file's ending says: a PNG or an SVG file."""
+    picture = BytesIO()
+    figure.savefig(picture, dpi=150, format=file.suffix.removeprefix("."))
+    write_bytes(file, picture.getvalue())

@@ -1,0 +1,235 @@
+"""Parts of a run besides the agent: domain, spike policy, loggers, evaluation, process settings."""
+
+from __future__ import annotations
+
+import logging
+import os
+import subprocess
+from collections.abc import Iterable, Mapping
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import torch
+from torch import nn
+from torchrl.envs import Compose
+
+import bbq_torchrl
+from bbq_torchrl.data.replay import TRANSITION_KEYS
+from bbq_torchrl.evaluation.rollouts import RoundEvaluator
+from bbq_torchrl.options import ConfigError, Task
+from bbq_torchrl.options.settings import walk
+from bbq_torchrl.options.task import action_mask_key
+from bbq_torchrl.options.values import replica_values
+from bbq_torchrl.trainers import derive_seed, episode_stats, keep_freed_memory, rollouts
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Iterator, Sequence
+
+    from tensordict import NestedKey
+    from torch import Tensor
+    from torchrl.envs import EnvBase
+    from torchrl.modules import QValueActor
+    from torchrl.record.loggers import Logger
+
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.options import Config, EvaluateConfig, Option
+
+
+TRIED = 500
+"""The most dialogues that a scripted policy plays before it counts as one that never succeeds."""
+
+
+def make_domain(config: Config | EvaluateConfig) -> Domain | None:
+    """Loads the domain of a configuration; None where its environment has none.
+
+    Raises:
+        ValueError or OSError: the corpus is damaged or not there.
+    """
+    return config.domain.make() if config.env.has_domain else None
+
+
+def task_of(config: Config, env: EnvBase) -> Task:
+    """Returns the shapes that networks and exploration have to fit."""
+    inputs, actions = config.env.inactive(env) or (None, None)
+    return Task(
+        inputs=env.observation_spec["observation"].shape[-1],
+        action_spec=env.action_spec_unbatched,
+        replicas=config.replicas,
+        rounds=config.protocol.rounds,
+        device=env.device,
+        action_mask_key=action_mask_key(env),
+        inactive_inputs=inputs,
+        inactive_actions=actions,
+        counted_inputs=config.env.counted(env),
+    )
+
+
+def set_up_process(config: Config) -> None:
+    """Sets torch's threads, keeps freed memory, and keeps TorchRL's notices out of the output."""
+    torch.set_num_threads(config.threads)
+    keep_freed_memory()
+    if "RL_LOGGING_LEVEL" not in os.environ:  # TorchRL's own variable: the user's word counts
+        logging.getLogger("torchrl").setLevel(logging.WARNING)
+
+
+def spike_policy(config: Config, domain: Domain | None) -> str:
+    """Returns the scripted policy that spikes: the one given, else the first that succeeds.
+
+    Each plays with the same seed until a dialogue succeeds, whatever the run's seed, so that all
+    runs of a setting are spiked alike. A script that cannot be played in the first round is left
+    out.
+
+    Raises:
+        ConfigError: none succeeds in :data:`TRIED` dialogues.
+    """
+    if config.spike.policy is not None:
+        return config.spike.policy
+    names = config.env.policies(domain)
+    env = config.env.make(domain, (1, TRIED // 5), device=config.device)
+    for name in names:
+        try:
+            policy = config.env.make_policy(name, env)
+        except ValueError:  # a script that needs a slot which comes later
+            continue
+        torch.manual_seed(derive_seed(0, "torch", "spike tried"))
+        env.set_seed(derive_seed(0, "env", "spike tried"))
+        played = rollouts(env, policy, TRIED, max_steps=config.env.steps())
+        if any(bool(episode_stats(rollout).success.any()) for rollout in played):
+            return name
+    raise ConfigError(
+        f"spike.policy must be a scripted policy that succeeds, and none of {', '.join(names)} "
+        f"does in {TRIED} dialogues: mend the policies of the domain, make it easier (fewer "
+        "errors, more turns), or learn without them by spike=none"
+    )
+
+
+@contextmanager
+def opened_loggers(config: Config, run_folder: Path) -> Iterator[Sequence[Logger]]:
+    """Loggers of a run, which have its configuration. They are closed however the run ends.
+
+    Raises:
+        ConfigError: the option has made no list of loggers, or they cannot be used.
+    """
+    option = config.logger
+    made = option.make(run_folder, resume=config.resume is not None)
+    (given,) = _checked(option, (made,), "a list of loggers", Iterable)
+    loggers, finished = tuple(given), False
+    try:
+        flat = {key: value for key, _, value in walk(config) if key != "resume"}
+        option.log_config(loggers, flat)
+        yield loggers
+        finished = True
+    finally:
+        option.close(loggers, finished=finished)
+
+
+def checked_policy(option: Option, made: Any) -> Any:
+    """Returns a policy and its metrics, as an option of ``explore`` must make them."""
+    return _checked(option, made, "a policy and a dict of metrics", nn.Module, Mapping)
+
+
+def checked_loss(option: Option, made: Any) -> Any:
+    """Returns a loss and its transforms, as an option of ``intrinsic`` must make them."""
+    return _checked(option, made, "a loss and a list of transforms", nn.Module, (Iterable, Compose))
+
+
+def _checked(option: Option, made: Any, what: str, *kinds: type | tuple[type, ...]) -> Any:
+    """Returns the parts that an option's ``make`` has made.
+
+    Raises:
+        ConfigError: they are not of these kinds.
+    """
+    parts = made if isinstance(made, (tuple, list)) else (made,)
+    if len(parts) != len(kinds) or not all(map(isinstance, parts, kinds)):
+        got = ", ".join(type(part).__name__ for part in parts)
+        raise ConfigError(f"make of {option.group}={option.name} must return {what}, got {got}")
+    return parts
+
+
+def transition_keys(env: EnvBase) -> list[NestedKey]:
+    """Returns the entries of a transition that the environment has."""
+    masks = () if action_mask_key(env) else ("action_mask", ("next", "action_mask"))
+    return [key for key in TRANSITION_KEYS if key not in masks]
+
+
+def round_evaluator(
+    config: Config, domain: Domain | None, actor: QValueActor
+) -> RoundEvaluator | None:
+    """Returns the evaluation of an agent while it is trained; None without one."""
+    protocol = config.protocol
+    if not protocol.eval_every:
+        return None
+    places = protocol.places(protocol.eval_every_dialogues, config.replicas)
+    return RoundEvaluator(
+        config.env.make(domain, (config.replicas, places), device=config.device),
+        lambda: config.agent.make_evaluation(actor)[1],
+        every=protocol.eval_every,
+        dialogues=protocol.eval_every_dialogues,
+        seed=config.seed,
+        max_steps=config.env.steps(),
+        changes=config.env.additions(domain),
+    )
+
+
+def values_as_metrics(config: Config) -> dict[str, Callable[[], Tensor]]:
+    """Returns metrics of the keys that have a list: each replica's value."""
+    per_replica = replica_values(config)
+    columns = {
+        key: torch.tensor([values[key] for values in per_replica], dtype=torch.float64)
+        for key in per_replica[0]
+    }
+    return {key: column.clone for key, column in columns.items()}
+
+
+_SECONDS = 30.0  # a network drive is slow, but a run must not wait for its commit forever
+
+
+class Checkout(NamedTuple):
+    """The state of the code.
+
+    Attributes:
+        commit: the hash of the commit that is checked out; None outside of a checkout.
+        clean: whether the working tree is as committed, by ``git status``; None if unknown.
+    """
+
+    commit: str | None = None
+    clean: bool | None = None
+
+
+def checkout(folder: Path | None = None) -> Checkout:
+    """Returns the commit of a package's code, and whether the working tree is clean.
+
+    Args:
+        folder: of the package, this one by default. If git does not track its ``__init__.py``, it
+            was installed from elsewhere, perhaps below another project's checkout.
+    """
+    folder = Path(bbq_torchrl.__file__).parent if folder is None else folder
+    if _git(folder, "ls-files", "--error-unmatch", "__init__.py") is None:
+        return Checkout()
+    commit = _git(folder, "rev-parse", "--verify", "HEAD")
+    if commit is None:
+        return Checkout()
+    status = _git(folder, "status", "--porcelain")
+    return Checkout(commit, None if status is None else not status)
+
+
+def _git(folder: Path, *command: str) -> str | None:
+    """Returns what git prints; None if there is no git, or it fails."""
+    # GIT_DIR and the like, set where a hook starts a run, would name another repository.
+    environment = {key: value for key, value in os.environ.items() if not key.startswith("GIT_")}
+    try:
+        # Without locks: jobs that start together must not get in each other's way.
+        done = subprocess.run(
+            ["git", "--no-optional-locks", "-C", str(folder), *command],
+            capture_output=True,
+            check=True,
+            encoding="utf-8",
+            errors="replace",
+            env=environment,
+            stdin=subprocess.DEVNULL,
+            timeout=_SECONDS,
+        )
+    except (OSError, subprocess.SubprocessError):
+        return None
+    return done.stdout.strip()

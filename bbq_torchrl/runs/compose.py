@@ -1,0 +1,385 @@
+"""Composing and checking configurations.
+
+The only module that talks to Hydra's configuration store: a :func:`session` registers every option
+in its group.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import copy
+import os
+import re
+import shlex
+import textwrap
+from dataclasses import fields, is_dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
+
+from hydra import compose as hydra_compose
+from hydra import initialize_config_dir
+from hydra.core.config_store import ConfigStore
+from hydra.core.global_hydra import GlobalHydra
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
+from hydra.utils import to_absolute_path
+from omegaconf import DictConfig, OmegaConf, open_dict
+from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
+from yaml import YAMLError
+
+from bbq_torchrl.options import (
+    AgentOption,
+    CalibrateConfig,
+    Config,
+    ConfigError,
+    EvaluateConfig,
+    explorations,
+    schemas,
+    validate,
+)
+from bbq_torchrl.options.registry import EXPERIMENT, conf_folder, options, options_folder
+from bbq_torchrl.options.settings import walk
+from bbq_torchrl.options.values import keys_with_lists
+from bbq_torchrl.pages import page
+from bbq_torchrl.plain_yaml import check_yaml
+from bbq_torchrl.runs.folders import quoted
+from bbq_torchrl.runs.overrides import (
+    allowed,
+    explain,
+    group_choices,
+    groups_of,
+    key_of,
+    not_an_option,
+    of_a_key,
+    too_large,
+    train_command,
+    unknown_key,
+)
+from bbq_torchrl.text import conceal_environment, sentence, shown
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Sequence
+    from pathlib import Path
+
+    from omegaconf import ListConfig
+
+    from bbq_torchrl.options import Option
+
+Root = TypeVar("Root", Config, EvaluateConfig, CalibrateConfig)
+
+ROOTS = {Config: "config", EvaluateConfig: "evaluate", CalibrateConfig: "calibrate"}
+"""Schema of a root -> its YAML file."""
+
+_OURS = Config.__module__.rpartition(".")[0]  # where our options are
+
+_registered: set[tuple[str, str]] = set()
+
+
+def register_options() -> None:
+    """Tells Hydra of the roots, and of every option that it does not know yet."""
+    store = ConfigStore.instance()
+    for root, name in ROOTS.items():
+        store.store(name=f"_{name}", node=root)
+    for group, known in schemas().items():
+        for name, option in known.items():
+            if (group, name) in _registered:
+                continue
+            _registered.add((group, name))
+            if not issubclass(option, AgentOption):
+                store.store(group=group, name=name, node=option)
+                continue
+            # An agent chooses its own strategy, where the command line does not.
+            own = {"override /explore@_global_.explore": option.explores_by}
+            store.store(group=group, name=f"_{name}", node=option)
+            store.store(group=group, name=name, node={"defaults": [f"_{name}", own, "_self_"]})
+    OmegaConf.register_new_resolver(
+        "bbq_pairs", lambda: textwrap.indent(explorations_table(), "  "), replace=True
+    )
+    OmegaConf.register_new_resolver("bbq_groups", _indented_groups, replace=True)
+    OmegaConf.register_new_resolver("bbq_lists", _indented_lists, replace=True)
+    OmegaConf.register_new_resolver("bbq_own", keys_of_others, replace=True)
+    OmegaConf.register_new_resolver(
+        "bbq_command", lambda: _literal(shlex.join(train_command())), replace=True
+    )
+    OmegaConf.register_new_resolver(
+        "bbq_page", lambda name: _literal(str(page(name))), replace=True
+    )
+
+
+def explorations_table() -> str:
+    """Returns the strategies that each agent can use, as text, one line an agent.
+
+    Examples:
+        >>> next(line for line in explorations_table().splitlines() if "=bootstrap " in line)
+        'agent=bootstrap  explore=bootstrap (default), epsilon_greedy, greedy'
+    """
+    known = explorations()
+    width = max(map(len, known))
+    return "\n".join(
+        f"agent={agent:<{width}}  explore={names[0]} (default), {', '.join(names[1:])}"
+        for agent, names in known.items()
+    )
+
+
+def _indented_lists() -> str:
+    keys = ", ".join(keys_with_lists(schemas()))
+    return textwrap.fill(keys, 90, initial_indent="  ", subsequent_indent="  ")
+
+
+def keys_of_others() -> str:
+    """The keys that no page of ours can have: those of options which others have added."""
+    lines = []
+    for group, known in schemas().items():
+        for name, option in known.items():
+            bases = [base for base in option.__mro__ if base.__module__.startswith(_OURS)]
+            ours = {item.name for base in bases if is_dataclass(base) for item in fields(base)}
+            lines += [
+                f"  {group}.{item.name} ({group}={name}): {item.metadata['meaning']}; "
+                f"{item.metadata['allowed'].text}"
+                for item in fields(option)
+                if item.name not in ours
+            ]
+    table = "\n".join(["Keys of options of your own", *lines, "", ""])
+    return _literal(table) if lines else ""
+
+
+def _literal(text: str) -> str:
+    """Returns a text as Hydra shows it, which takes what it shows for a template."""
+    return text.replace("$", "$$")
+
+
+def _indented_groups() -> str:
+    lines = [f"  {group + '=':<13} {' | '.join(options(group))}" for group in schemas()]
+    return "\n".join([*lines, f"  +{EXPERIMENT}=  {' | '.join(options(EXPERIMENT))}"])
+
+
+@contextlib.contextmanager
+def session() -> Iterator[Any]:
+    """A Hydra session on the ``conf`` folder; leaves whatever session was open as it was."""
+    register_options()
+    before = GlobalHydra.instance().hydra
+    GlobalHydra.instance().clear()
+    try:
+        with initialize_config_dir(str(conf_folder()), version_base="1.3"):
+            yield GlobalHydra.instance().hydra
+    finally:
+        GlobalHydra.instance().hydra = before  # Hydra has put a copy in the instance's place
+
+
+def compose_raw(
+    overrides: Sequence[str], root: type = Config, run: Config | None = None
+) -> DictConfig:
+    """Composes YAML files and overrides inside a :func:`session`, Hydra's own part too.
+
+    Values have the types of their keys, but are not yet checked. With ``run``, what is not given
+    is that run's: its options, and their keys; for another training, its other keys too.
+
+    Raises:
+        ConfigError: an unknown group, option or key, or a value of the wrong type.
+    """
+    refusal = too_large(overrides) or not_an_option(overrides, root)
+    if refusal is not None:
+        raise ConfigError(refusal)
+    chosen = [] if run is None else options_of(run, overrides, root)
+    try:
+        composed = hydra_compose(
+            ROOTS[root], searched([*chosen, *overrides]), return_hydra_config=True
+        )
+        if run is not None:
+            take_values(composed, run, overrides, root)
+        return composed
+    # The last three: very long or deep texts, and numbers of thousands of digits.
+    except (
+        HydraException,
+        OmegaConfBaseException,
+        YAMLError,
+        ValueError,
+        OSError,
+        OverflowError,
+        RecursionError,
+    ) as error:
+        raise ConfigError(why_refused(error, [*chosen, *overrides], root)) from error
+
+
+def options_of(run: Config, overrides: Sequence[str], root: type = Config) -> list[str]:
+    """Returns the overrides that choose a run's options where a command line chooses none."""
+    given = set(map(key_of, overrides))
+    return [f"{name}={getattr(run, name).name}" for name in groups_of(root) if name not in given]
+
+
+def take_values(
+    composed: DictConfig, run: Config, overrides: Sequence[str], root: type = Config
+) -> None:
+    """Gives a configuration with a run's options the run's values where a command line has none."""
+    given = set(map(key_of, overrides))
+    shared = groups_of(root) if root is EvaluateConfig else [item.name for item in fields(root)]
+    for key, _, value in walk(run):
+        if key.partition(".")[0] in shared and not {key, key.partition(".")[0]} & given:
+            OmegaConf.update(composed, key, value)
+
+
+def why_refused(error: Exception, overrides: Sequence[str], root: type = Config) -> str:
+    """One sentence for overrides that Hydra cannot compose; inside a :func:`session`."""
+    composed = None
+    with contextlib.suppress(Exception):  # an option or a file that cannot be read
+        composed = hydra_compose(
+            ROOTS[root], searched(group_choices(overrides)), return_hydra_config=True
+        )
+    return explain(error, overrides, root, composed)
+
+
+def run_of(overrides: Sequence[str], key: str) -> str | None:
+    """The text that a command line has for the key of a run folder; None if it has none."""
+    given = [override for override in overrides if key_of(override) == key]
+    if not given or too_large(given):
+        return None
+    try:
+        value = OverridesParser.create().parse_override(given[-1]).value()
+    except (HydraException, ValueError):  # refused when it is composed
+        return None
+    if isinstance(value, (int, float)):
+        return given[-1].partition("=")[2]  # a folder may be called 1.50
+    return value if isinstance(value, str) else None
+
+
+def searched(overrides: Sequence[str]) -> list[str]:
+    """Returns overrides by which Hydra finds the YAML files of a folder of options next to ours."""
+    folder = options_folder()
+    if folder is None:
+        return list(overrides)
+    return [f"hydra.searchpath=[{quoted(f'file://{folder}')}]", *overrides]
+
+
+def to_config(typed: DictConfig, root: type[Root]) -> Root:
+    """The checked dataclass of a configuration whose values have their keys' types.
+
+    Hydra has given them these when it composed. Paths become absolute.
+
+    Raises:
+        ConfigError: the first value or combination that cannot be run.
+    """
+    conceal_environment(str(OmegaConf.to_container(typed, resolve=False)))
+    typed = copy.deepcopy(typed)
+    with open_dict(typed):
+        typed.pop("hydra", None)
+    for key in sorted(item.name for item in fields(root)):
+        if key not in typed or OmegaConf.is_missing(typed, key):
+            raise _not_given(key)
+    try:
+        missing = sorted(OmegaConf.missing_keys(typed))
+    except InterpolationResolutionError as error:
+        given = _unresolved(typed, str(error.full_key))
+        raise ConfigError(
+            f"{error.full_key}={given} cannot be resolved: {str(error).splitlines()[0]}"
+        ) from error
+    for key in missing:
+        raise _not_given(key)
+    config: Root = OmegaConf.to_object(typed)  # type: ignore[assignment]
+    chosen = {group: getattr(config, group) for group in schemas() if hasattr(config, group)}
+    for group, part in {"": config, **chosen}.items():
+        for key in vars(part).keys() - part.__dataclass_fields__.keys():  # added by a plus
+            raise ConfigError(unknown_key(f"{group}.{key}".strip("."), type(part)))
+    for group, option in chosen.items():
+        if option.name != type(option).name:
+            raise ConfigError(
+                f"{group}.name must be {type(option).name!r}, got {option.name!r}: "
+                f"choose by {group}={option.name}"
+            )
+    if path := getattr(config.domain, "path", ""):
+        # Of the folder that the command began in: with hydra.job.chdir=true a job is elsewhere.
+        config.domain.path = os.path.abspath(to_absolute_path(os.path.expanduser(path)))  # type: ignore[attr-defined]
+    validate(config)
+    return config
+
+
+def _unresolved(typed: DictConfig, key: str) -> Any:
+    """Returns a value as it was written, with the references in it."""
+    plain: Any = OmegaConf.to_container(typed, resolve=False)
+    for name in re.findall(r"[^.\[\]]+", key):
+        plain = plain[int(name) if isinstance(plain, list) else name]
+    return plain
+
+
+def load_yaml(file: Path, of: str) -> DictConfig | ListConfig:
+    """Reads a YAML file.
+
+    Raises:
+        ConfigError: it cannot be read as YAML; the message says what it should be the file of.
+    """
+    try:
+        check_yaml(file.read_text(encoding="utf-8"))
+        return OmegaConf.load(file)
+    except OSError as error:
+        raise ConfigError(f"{file} cannot be read: {error.strerror}") from error
+    except Exception as error:
+        raise ConfigError(f"{file} is not a YAML file of {of}: {sentence(error)}") from error
+
+
+def read_config(plain: DictConfig) -> Config:
+    """The checked dataclass of the plain values in a training's YAML file.
+
+    Raises:
+        ConfigError: as :func:`to_config` does.
+    """
+    typed = OmegaConf.structured(Config)
+    try:
+        for group in groups_of(Config):
+            if group in plain:
+                typed[group] = _saved_option(group, plain[group])
+                _check_saved(group, plain[group], typed[group])
+        typed.merge_with(plain)
+        return to_config(typed, Config)
+    except OmegaConfBaseException as error:
+        key = str(error.full_key).split("[")[0]
+        got = shown(OmegaConf.select(plain, key))
+        raise ConfigError(of_a_key(error, key, got, Config)) from error
+
+
+def _not_given(key: str) -> ConfigError:
+    return ConfigError(f"{key} must be given, as {key}=<value>")
+
+
+def _check_saved(group: str, plain: DictConfig, typed: DictConfig) -> None:
+    """Refuses what OmegaConf would merge without a word, or without naming the key."""
+    for name in map(str, plain):
+        key = f"{group}.{name}"
+        if OmegaConf.is_missing(plain, name):
+            raise _not_given(key)
+        if OmegaConf.is_dict(plain[name]) and OmegaConf.is_list(typed.get(name)):
+            text = allowed(key, OmegaConf.get_type(typed))
+            raise ConfigError(f"{key} must be {text}, got {shown(plain[name])}")
+
+
+def _saved_option(group: str, plain: Any) -> type[Option]:
+    known = schemas()[group]
+    name = plain.get("name") if OmegaConf.is_dict(plain) else None
+    if not isinstance(name, str) or name not in known:
+        raise ConfigError(
+            f"{group} must be one of {', '.join(sorted(known))}, got {name!r}: options of your own "
+            "come with an installed package or with --config-dir <folder>"
+        )
+    return known[name]
+
+
+def compose(
+    overrides: Sequence[str] = (),
+    root: type[Root] = Config,  # type: ignore[assignment]
+    run: Config | None = None,
+) -> Root:
+    """The checked configuration that a command line of overrides stands for.
+
+    Args:
+        overrides: as on the command line, such as ``["agent=dqn", "protocol.rounds=20"]``.
+        root: :class:`Config` for a training run, :class:`EvaluateConfig` for an evaluation.
+        run: whose options and keys are taken where the command line gives none.
+
+    Raises:
+        ConfigError: one sentence that says which key is wrong and what it may be.
+
+    Examples:
+        >>> compose(["agent=dqn"]).explore.name
+        'epsilon_greedy'
+        >>> compose(["env=domain_ext"]).protocol.rounds
+        200
+    """
+    with session():
+        return to_config(compose_raw(overrides, root, run), root)

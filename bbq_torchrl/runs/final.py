@@ -1,0 +1,205 @@
+"""The final evaluation of a run: the agent's, and that of policies that do not learn."""
+
+from __future__ import annotations
+
+import dataclasses
+import logging
+import platform
+import time
+from importlib.metadata import version
+from typing import TYPE_CHECKING
+
+import bbq_torchrl
+from bbq_torchrl.domains.parts import RANDOM_POLICY
+from bbq_torchrl.evaluation.figures import draw_run
+from bbq_torchrl.evaluation.groups import grouped, read_groups
+from bbq_torchrl.evaluation.metrics import Metrics
+from bbq_torchrl.evaluation.results import (
+    RunResult,
+    TrainingEvaluation,
+    reference_lines,
+    replica_result,
+    training_evaluation,
+)
+from bbq_torchrl.evaluation.rollouts import evaluate
+from bbq_torchrl.evaluation.runs import Replica
+from bbq_torchrl.options import ConfigError
+from bbq_torchrl.options.values import replica_values
+from bbq_torchrl.protocols import enter_round
+from bbq_torchrl.run_folder import CURVE
+from bbq_torchrl.trainers import NonFiniteWeightsError, RunFolderGoneError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+    from pathlib import Path
+
+    from tensordict.nn import TensorDictModuleBase
+    from torchrl.envs import EnvBase
+
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.evaluation.groups import Group
+    from bbq_torchrl.options import Config
+    from bbq_torchrl.runs.build import Checkout
+    from bbq_torchrl.runs.train import Agent
+    from bbq_torchrl.trainers import EpisodeStats, RoundTrainer
+    from bbq_torchrl.trainers.metrics import MetricRow
+
+_LOG = logging.getLogger(__name__)
+
+OTHERS_DIALOGUES = 1_000
+"""Dialogues of each policy that the agent is compared with: all of them take a second."""
+
+
+def final_result(
+    config: Config,
+    folder: Path,
+    domain: Domain | None,
+    agent: Agent,
+    trainer: RoundTrainer,
+    code: Checkout,
+) -> RunResult:
+    """Plays the final evaluation, in the state of the domain in which training ended.
+
+    Args:
+        config: of the run.
+        folder: of the run, with the metrics of the training.
+        domain: what it was about.
+        agent: what has learned.
+        trainer: what trained it.
+        code: the state of the code that trained it.
+    """
+    started, rows = time.perf_counter(), trainer.metrics.rows
+    trained = sum(row["seconds"] for row in rows if row["replica"] == 0)
+    protocol = config.protocol
+    _LOG.info("evaluating on %d dialogues a replica", protocol.eval_dialogues)
+    places = protocol.places(protocol.eval_dialogues, config.replicas)
+    env = _last_env(config, domain, config.replicas, places)
+    name, policy = config.agent.make_evaluation(agent.actor)
+    NonFiniteWeightsError.check(policy, folder)
+    played = _played(config, env, policy, protocol.eval_dialogues)
+    RunFolderGoneError.check(folder)
+    metrics = Metrics.of(rows)
+    training_success = metrics.training_success
+    evaluated: list[TrainingEvaluation | None] = [None] * config.replicas
+    if trainer.evaluator is not None:
+        rates = metrics["eval_success_rate"]
+        best = trainer.evaluator.best
+        evaluated = [
+            training_evaluation(rates[:, replica], float(rate), int(number))
+            for replica, (rate, number) in enumerate(
+                zip(best.success_rate.tolist(), best.round.tolist(), strict=True)
+            )
+        ]
+    values = replica_values(config)
+    per_replica = [
+        replica_result(
+            replica,
+            played.success[replica].tolist(),
+            played.reward[replica].tolist(),
+            played.turns[replica].tolist(),
+            float(training_success[replica]),
+            values[replica],
+            evaluated[replica],
+        )
+        for replica in range(config.replicas)
+    ]
+    return RunResult.of(
+        per_replica,
+        agent=config.agent.name,
+        explore=config.explore.name,
+        intrinsic=config.intrinsic.name,
+        env=config.env.name,
+        domain="" if domain is None else domain.name,
+        policy=name,
+        seed=config.seed,
+        rounds=protocol.rounds,
+        wall_seconds=trained + time.perf_counter() - started,
+        versions=_versions(),
+        commit=code.commit,
+        clean=code.clean,
+        skipped=() if domain is None else domain.skipped,
+        **_others(config, domain),
+    )
+
+
+def draw_curve(
+    config: Config,
+    folder: Path,
+    result: RunResult,
+    trainer: RoundTrainer,
+    domain: Domain | None,
+    spiking: str | None,
+) -> None:
+    """Draws the learning curve: of the metrics in memory, or in the folder of a finished run."""
+    rows = trainer.metrics.rows
+    try:
+        groups = _groups(config, folder, result, rows) if rows else read_groups([folder])
+    except ValueError as error:
+        raise ConfigError(f"the curve cannot be drawn: {error}") from error
+    named = {"explore": result.explore, "env": result.env, "domain": result.domain}
+    draw_run(
+        folder / CURVE,
+        groups,
+        title="Success: " + ", ".join(f"{key}={name}" for key, name in named.items() if name),
+        spiked=None
+        if spiking is None
+        else f"spiked with {config.spike.dialogues} {spiking} dialogues",
+        extensions=config.env.additions(domain),
+        references=reference_lines(result.scripted, result.references),
+    )
+
+
+def _groups(
+    config: Config, folder: Path, result: RunResult, rows: Sequence[MetricRow]
+) -> list[Group]:
+    metrics, plain = Metrics.of(rows), dataclasses.asdict(config)
+    numbers = range(config.replicas)
+    return grouped(Replica(folder, number, plain, result, metrics) for number in numbers)
+
+
+def _others(config: Config, domain: Domain | None) -> dict[str, dict[str, float]]:
+    """Returns success rates of policies that do not learn, as :class:`RunResult` has them.
+
+    In the state of the domain in which training ended.
+    """
+    dialogues = min(config.protocol.eval_dialogues, OTHERS_DIALOGUES)
+    env = _last_env(config, domain, 1, dialogues)
+
+    def rates(*names: str) -> dict[str, float]:
+        found = {}
+        for name in names:
+            try:
+                policy = config.env.make_policy(name, env)
+            except ValueError as error:  # a script that needs a slot which has not come yet
+                _LOG.warning("left out of the result: %s", error)
+                continue
+            played = _played(config, env, policy, dialogues)
+            found[name] = played.success.double().mean().item()
+        return found
+
+    return {
+        "scripted": rates(*config.env.policies(domain), RANDOM_POLICY),
+        "references": rates(*config.env.references(domain)),
+    }
+
+
+def _last_env(config: Config, domain: Domain | None, replicas: int, places: int) -> EnvBase:
+    """Makes the environment as it was in the last round of the training."""
+    env = config.env.make(domain, (replicas, places), device=config.device)
+    enter_round(env, max(config.protocol.rounds - 1, 0))
+    return env
+
+
+def _played(
+    config: Config, env: EnvBase, policy: TensorDictModuleBase, dialogues: int
+) -> EpisodeStats:
+    return evaluate(env, policy, dialogues, seed=config.seed, max_steps=config.env.steps())
+
+
+def _versions() -> dict[str, str]:
+    packages = ("torch", "torchrl", "tensordict")
+    return {
+        "bbq-torchrl": bbq_torchrl.__version__,
+        "python": platform.python_version(),
+        **{name: version(name) for name in packages},
+    }

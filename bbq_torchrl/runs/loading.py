@@ -1,0 +1,223 @@
+"""Runs from Python: trained as by the command line, or loaded as parts."""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+
+import torch
+from hydra.types import RunMode
+
+from bbq_torchrl.checks import check, one_of
+from bbq_torchrl.options import ConfigError
+from bbq_torchrl.options.registry import conf_folder, load_folder
+from bbq_torchrl.protocols import enter_round
+from bbq_torchrl.run_folder import CHECKPOINTS
+from bbq_torchrl.runs.build import make_domain
+from bbq_torchrl.runs.compose import compose_raw, register_options, session
+from bbq_torchrl.runs.job import begin
+from bbq_torchrl.runs.overrides import key_of, too_large, unreadable
+from bbq_torchrl.runs.resume import Resumption, description, run_config
+from bbq_torchrl.runs.shipped import is_shipped, run_folder
+from bbq_torchrl.runs.train import make_agent, run
+from bbq_torchrl.trainers import BestWeights, CheckpointFolder, NonFiniteWeightsError
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tensordict.nn import TensorDictModuleBase
+    from torchrl.envs import EnvBase
+
+    from bbq_torchrl.evaluation.results import RunResult
+    from bbq_torchrl.options import Config
+
+
+class LoadedRun(NamedTuple):
+    """A loaded run.
+
+    Attributes:
+        env: the run's environment, in the round in which the training ended, with as many
+            replicas as the run: batch size [replicas, dialogues].
+        policy: the policy that the run reports, on the environment's TensorDict.
+        config: the run's configuration.
+        mode: the name of the policy, such as ``mean`` or ``vote``.
+    """
+
+    env: EnvBase
+    policy: TensorDictModuleBase
+    config: Config
+    mode: str
+
+
+def load_run(
+    folder: Path | str,
+    *,
+    dialogues: int = 50,
+    mode: str | None = None,
+    weights: Literal["last", "best"] = "last",
+    seed: int = 0,
+    device: torch.device | str = "cpu",
+    options: Path | str | None = None,
+) -> LoadedRun:
+    """Loads a run: its environment, the policy that it learned, and its configuration.
+
+    Nothing is written into the folder.
+
+    Args:
+        folder: the run folder, or ``shipped:<name>`` for an agent that comes with the package.
+        dialogues: how many run side by side in the environment, of each replica.
+        mode: the policy of a Bayesian agent: ``mean``, ``average``, ``draw`` or ``thompson``;
+            None for the run's own.
+        weights: the newest, or each replica's at its best evaluation while training.
+        seed: of the environment.
+        device: where the environment and the weights are.
+        options: the folder of options of your own that the run was trained with
+            (``--config-dir``); its Python files are run, and it stays loaded.
+
+    Raises:
+        ValueError: no run folder, or none whose checkpoint can be read; a folder of options that
+            cannot be loaded.
+
+    Examples:
+        >>> from bbq_torchrl import load_run
+        >>> env, policy, config, mode = load_run("runs/my_run")  # doctest: +SKIP
+        >>> env.rollout(20, policy, break_when_any_done=False)  # doctest: +SKIP
+    """
+    if options is not None:
+        load_folder(options, "options")
+    folder = run_folder(folder)
+    config = run_config(folder)
+    env = config.env.make(
+        make_domain(config), (config.replicas, dialogues), seed=seed, device=device
+    )
+    policy, name = trained_policy(config, folder, env, mode=mode, weights=weights)
+    return LoadedRun(env, policy, config, name)
+
+
+def trained_policy(
+    config: Config,
+    folder: Path,
+    env: EnvBase,
+    *,
+    mode: str | None = None,
+    weights: str = "last",
+) -> tuple[TensorDictModuleBase, str]:
+    """Returns the policy of a run's newest readable checkpoint, and its name.
+
+    The environment enters the round in which that was saved.
+
+    Raises:
+        ConfigError: a mode that the agent lacks, or no checkpoint of such weights.
+        TrainingError: no checkpoint that can be read, one of another configuration, or weights
+            that are not finite.
+    """
+    config.agent.check_mode(mode)
+    check("weights", weights, one_of("last", "best"))
+    agent = make_agent(config, env)
+    name, policy = config.agent.make_evaluation(agent.actor, mode)
+    best = None
+    if weights == "best":
+        if is_shipped(folder):
+            raise ConfigError(f"weights must be last for shipped:{folder.name}, got 'best'")
+        not_evaluated = ConfigError(
+            f"weights must be last for {folder}, which was not evaluated while it was trained "
+            f"(protocol.eval_every={config.protocol.eval_every}), got 'best'"
+        )
+        if not config.protocol.eval_every:
+            raise not_evaluated
+        best = BestWeights(policy, config.replicas)
+    saved: dict[str, Any] = {"loss": agent.loss} if best is None else {"best": best}
+    if is_shipped(folder):
+        saved = {"actor": agent.actor}
+    found = CheckpointFolder(folder / CHECKPOINTS, **saved).restore(description(config))
+    if found is None:
+        raise ConfigError(f"{folder} has no checkpoint yet")
+    enter_round(env, max(int(found[1]["round"]) - 1, 0))
+    if best is not None:
+        if bool((best.round < 0).any()):
+            raise not_evaluated
+        best.put_back()
+    NonFiniteWeightsError.check(policy, folder)
+    return policy, name
+
+
+_SWEEP = (
+    "train runs one training, got a sweep: give each key one value, or use the command bbq train "
+    "--multirun"
+)
+
+
+class TrainedRun(NamedTuple):
+    """The outcome of :func:`train`.
+
+    Attributes:
+        folder: the run folder, for :func:`bbq_torchrl.load_run`.
+        result: what ``result.json`` holds, such as ``success_rate``.
+    """
+
+    folder: Path
+    result: RunResult
+
+
+def train(overrides: Sequence[str] = (), *, options: Path | str | None = None) -> TrainedRun:
+    """Trains an agent and evaluates it, as ``bbq train`` does.
+
+    The process stays as it was: its signals, its logging, its Hydra session, torch's threads and
+    the state of torch's generator on the CPU. Ctrl-C is a KeyboardInterrupt, after which
+    ``resume=`` in the folder continues from the last checkpoint. The run folder lacks ``.hydra``
+    and ``train.log``, which Hydra writes; messages go to the logger ``bbq_torchrl``.
+
+    Args:
+        overrides: as on the command line, such as ``["agent=dqn", "protocol=quick"]``;
+            ``hydra.run.dir=<folder>`` names the run folder. One run, no sweep.
+        options: a folder of options of your own (``--config-dir``); it stays loaded.
+
+    Raises:
+        ValueError: one sentence on what is wrong and what is allowed, before anything runs.
+        OSError: a file that cannot be read or written.
+        TrainingError: the training cannot continue, such as by a loss that is not finite.
+
+    Examples:
+        >>> from bbq_torchrl import load_run, train
+        >>> folder, result = train(["agent=dqn", "protocol=quick"])  # doctest: +SKIP
+        >>> env, policy, config, mode = load_run(folder)  # doctest: +SKIP
+    """
+    if isinstance(overrides, str):
+        raise ConfigError(f"overrides must be a list, such as [{overrides!r}], got a text")
+    for override in overrides:
+        if override.startswith("-"):
+            raise ConfigError(unreadable(override))
+    if options is not None:
+        load_folder(options, "options")
+    threads = torch.get_num_threads()
+    try:
+        with ExitStack() as held, torch.random.fork_rng(devices=[]):
+            if any(key_of(item) == "hydra.mode" and "MULTIRUN" in item for item in overrides):
+                raise ConfigError(_SWEEP)
+            if (refusal := too_large(overrides)) is not None:
+                raise ConfigError(refusal)
+            resumption = Resumption.of(overrides, held)
+            with session():
+                composed = compose_raw(overrides if resumption is None else resumption.arguments())
+                if resumption is None and composed.hydra.mode is RunMode.MULTIRUN:
+                    raise ConfigError(_SWEEP)
+                checked = begin(composed, overrides, held, resumption)
+            folder = Path(composed.hydra.run.dir).resolve()
+            result = run(checked.config, folder, domain=checked.domain, spiking=checked.spiking)
+            return TrainedRun(folder, result)
+    finally:
+        torch.set_num_threads(threads)
+
+
+def config_dir() -> str:
+    """Returns the folder of ``config.yaml`` for Hydra's Compose API, and registers the options.
+
+    Examples:
+        >>> from hydra import compose, initialize_config_dir
+        >>> with initialize_config_dir(config_dir(), version_base="1.3"):
+        ...     compose("config", ["agent=dqn", "protocol=quick"]).protocol.rounds
+        40
+    """
+    register_options()
+    return str(conf_folder())

@@ -1,0 +1,218 @@
+"""``bbq train`` and ``python train.py``: one page from the configuration to the trained agent.
+
+Hydra composes the configuration, and :mod:`bbq_torchrl.runs.job` refuses what cannot be run before
+a folder exists. What follows is on this page: environment, actor, exploration, loss, replay with
+its spike, trainer, evaluation. Each part is made by the option that the command line chose
+(:mod:`bbq_torchrl.options`). Functions import torch and TorchRL themselves, for ``--help`` does
+without.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import TYPE_CHECKING, NamedTuple
+
+import hydra
+
+from bbq_torchrl import interruption
+from bbq_torchrl.options.registry import conf_folder
+from bbq_torchrl.run_folder import CONFIG, RESULT
+from bbq_torchrl.runs.job import command, job
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Sequence
+    from pathlib import Path
+
+    from omegaconf import DictConfig
+    from tensordict.nn import TensorDictModuleBase
+    from torch import Tensor, nn
+    from torchrl.envs import EnvBase, Transform
+    from torchrl.modules import QValueActor
+    from torchrl.record.loggers import Logger
+
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.evaluation.results import RunResult
+    from bbq_torchrl.options import Config
+    from bbq_torchrl.trainers import ReplicaOptimizer, RoundTrainer
+    from bbq_torchrl.trainers.round_trainer import RoundCallback
+
+
+@command
+@hydra.main(version_base="1.3", config_path=str(conf_folder()), config_name="config")
+def main(composed: DictConfig) -> float:
+    """Trains and evaluates. Returns the final success rate, which sweepers get."""
+    return job(composed, run)
+
+
+def run(
+    config: Config,
+    folder: Path,
+    callbacks: Sequence[RoundCallback] = (),
+    *,
+    domain: Domain | None = None,
+    spiking: str | None = None,
+) -> RunResult:
+    """Trains, evaluates and writes configuration, metrics, result, curve and checkpoints.
+
+    The folder is locked meanwhile.
+
+    Args:
+        config: what to run; with ``resume``, the run in the folder continues.
+        folder: the run folder.
+        callbacks: called after every round; what one raises ends the run.
+        domain: the configuration's, loaded; None: it is loaded here.
+        spiking: the scripted policy that spikes the buffer; None: it is found here.
+
+    Raises:
+        NonFiniteLossError: a loss is NaN or infinite.
+        RunFolderGoneError: the folder was moved or removed meanwhile.
+        CheckpointDamagedError: a run to resume has no checkpoint any more that can be read.
+        CheckpointMismatchError: its checkpoint is of another seed or configuration.
+        ConfigError: another process is at work in the folder.
+        Interrupted: a signal came (see :mod:`bbq_torchrl.interruption`); all rounds are saved.
+    """
+    from bbq_torchrl.evaluation.results import flat_numbers, write_json
+    from bbq_torchrl.runs import build, final, folders, messages, resume
+
+    with folders.run_lock(folder), build.opened_loggers(config, folder) as loggers:
+        code, rounds = (
+            build.checkout(),
+            config.protocol.rounds,
+        )  # now: it may change in the meantime
+        build.set_up_process(config)
+        resume.save_config(dataclasses.replace(config, resume=None), folder / CONFIG)
+        domain = build.make_domain(config) if domain is None else domain
+        if spiking is None and config.spike.dialogues:
+            spiking = build.spike_policy(config, domain)
+
+        trainer, agent = build_trainer(
+            config, folder, callbacks, domain=domain, spiking=spiking, loggers=loggers
+        )
+        # There is a result where the run was killed before its last file, the curve.
+        result = None if config.resume is None else resume.result_of(folder, rounds)
+        if result is None:
+            messages.log_start(config, domain, spiking)
+            interruption.tell(lambda: messages.progress(trainer))
+            with interruption.on_interrupt(trainer.stop):
+                trainer.train(resume=config.resume is not None)
+            interruption.check()
+            result = final.final_result(config, folder, domain, agent, trainer, code)
+            write_json(result, folder / RESULT)
+        if config.protocol.keep_checkpoints == "weights":
+            trainer.checkpoints.keep_only("loss", "best")
+        final.draw_curve(config, folder, result, trainer, domain, spiking)  # the last file
+        messages.log_result(config, folder, result)
+        numbers = {f"result/{name}": value for name, value in flat_numbers(result).items()}
+        config.logger.log_result(loggers, numbers, rounds=result.rounds)
+    return result
+
+
+def build_trainer(
+    config: Config,
+    run_folder: Path,
+    callbacks: Sequence[RoundCallback] = (),
+    *,
+    domain: Domain | None = None,
+    spiking: str | None = None,
+    loggers: Sequence[Logger] = (),
+) -> tuple[RoundTrainer, Agent]:
+    """Makes the trainer of a run, and its agent; callbacks are called after every round.
+
+    The domain is loaded, and the policy that spikes is found, unless they are given. Loggers are
+    those of :func:`~bbq_torchrl.runs.build.opened_loggers`; without them the metrics are logged
+    nowhere but in the run folder.
+    """
+    from torchrl.objectives import HardUpdate
+
+    from bbq_torchrl.data import ReplicaReplay
+    from bbq_torchrl.options.task import check_env
+    from bbq_torchrl.runs import build
+    from bbq_torchrl.runs.resume import description
+    from bbq_torchrl.trainers import RoundTrainer, losses_of
+
+    protocol, spike = config.protocol, config.spike
+    domain = build.make_domain(config) if domain is None else domain
+    batch = (config.replicas, protocol.dialogues)
+    env = config.env.make(domain, batch, seed=config.seed, device=config.device)
+    check_env(env, config.env.name, batch)
+    if spike.dialogues and spiking is None:
+        spiking = build.spike_policy(config, domain)
+    agent = make_agent(config, env)
+    replay = ReplicaReplay(
+        protocol.capacity,
+        replicas=config.replicas,
+        keys=build.transition_keys(env),
+        transform=agent.transform,
+        device=config.device,
+    )
+    trainer = RoundTrainer(
+        env,
+        agent.policy,
+        agent.loss,
+        replay,
+        agent.optimizer,
+        HardUpdate(losses_of(agent.loss)[0], value_network_update_interval=0),
+        run_folder,
+        rounds=protocol.rounds,
+        dialogues=protocol.dialogues,
+        batch_size=protocol.batch_size,
+        freezes=protocol.freezes,
+        epochs=protocol.epochs,
+        updates_per_round=protocol.updates_per_round,
+        checkpoint_every=protocol.checkpoint_every,
+        keep_checkpoints=None if protocol.keep_checkpoints == "all" else 2,
+        lr_share=None if protocol.lr_final == 1 else protocol.lr_share,
+        max_steps=config.env.steps(),
+        seed=config.seed,
+        spike=spike.make(config.env.make_policy(spiking, env)) if spiking else None,
+        loggers=loggers,
+        callbacks=callbacks,
+        evaluator=build.round_evaluator(config, domain, agent.actor),
+        round_metrics={**agent.metrics, **build.values_as_metrics(config)},
+        described=description(config),
+    )
+    return trainer, agent
+
+
+class Agent(NamedTuple):
+    """The learning and acting parts of a run.
+
+    Attributes:
+        actor: the Q-network and its choice of an action.
+        loss: the loss, or several in a ``ModuleDict``.
+        optimizer: moves the loss's parameters.
+        policy: acts with exploration.
+        metrics: what of the exploration is worth a column of the metrics; one number, or
+            [replicas].
+        transform: what the replay buffer does to transitions, if anything.
+    """
+
+    actor: QValueActor
+    loss: nn.Module
+    optimizer: ReplicaOptimizer
+    policy: TensorDictModuleBase
+    metrics: dict[str, Callable[[], float | Tensor]]
+    transform: Transform | None
+
+
+def make_agent(config: Config, env: EnvBase) -> Agent:
+    """Makes actor, loss and exploration; the weights start from the run's seed."""
+    import torch
+    from torchrl.envs import Compose
+
+    from bbq_torchrl.runs import build
+    from bbq_torchrl.trainers import derive_seed
+
+    torch.manual_seed(derive_seed(config.seed, "init"))
+    task = build.task_of(config, env)
+    actor = config.agent.make_actor(task)
+    loss = config.agent.make_loss(actor, task)
+    policy, metrics = build.checked_policy(
+        config.explore, config.explore.make(actor, config.agent.make_greedy(actor), task)
+    )
+    loss, rewards = build.checked_loss(config.intrinsic, config.intrinsic.make(loss, task))
+    transforms = [*config.agent.make_transforms(task), *rewards]
+    loss = loss.to(env.device)
+    optimizer = config.agent.make_optimizer(actor, loss.parameters(), task)
+    transform = Compose(*transforms).to(env.device) if transforms else None
+    return Agent(actor, loss, optimizer, policy.to(env.device), metrics, transform)

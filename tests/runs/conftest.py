@@ -1,0 +1,37 @@
+"""Runs that the tests of run folders share."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+
+import pytest
+
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import run
+
+from .trusted import DQN
+
+
+@pytest.fixture(scope="module")
+def kept(tmp_path_factory):
+    """A finished run with all that it takes to go on."""
+    folder = tmp_path_factory.mktemp("kept") / "run"
+    run(compose([*DQN, "protocol.keep_checkpoints=last"]), folder)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A finished run as it is by default: its weights are left."""
+    folder = tmp_path_factory.mktemp("finished") / "run"
+    run(compose(DQN), folder)
+    return folder
+
+
+@pytest.fixture
+def copy(tmp_path):
+    def copied(folder):
+        return Path(shutil.copytree(folder, tmp_path / "run"))
+
+    return copied

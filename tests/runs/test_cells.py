@@ -1,0 +1,137 @@
+"""Every agent with every exploration: trains, resumes and evaluates."""
+
+from __future__ import annotations
+
+import dataclasses
+from itertools import cycle, product
+
+import pytest
+import torch
+from tiny import TINY, rows
+from torch.testing import assert_close
+
+from bbq_torchrl import evaluate
+from bbq_torchrl.evaluation.metrics import read_metrics
+from bbq_torchrl.options import explorations, schemas
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import build_trainer, make_agent, run
+
+SHRUNKEN = (*TINY, "spike.policy=random", "replicas=2")
+EXTENSION = ("env.start=1", "env.every=1")
+NEEDED = {("dqn", "noisy"): ("agent.noisy=true", "agent.dropout=0")}
+# Each pair once, its environment and reward in turn, so that each agent meets all four of them.
+PAIRS = [(agent, explore) for agent, explores in explorations().items() for explore in explores]
+SURROUNDINGS = cycle(product(schemas()["env"], schemas()["intrinsic"]))
+CELLS = {
+    f"{agent}-{explore}-{env}-{intrinsic}": (
+        *(f"agent={agent}", f"explore={explore}", f"env={env}", f"intrinsic={intrinsic}"),
+        *NEEDED.get((agent, explore), ()),
+    )
+    for (agent, explore), (env, intrinsic) in zip(PAIRS, SURROUNDINGS, strict=False)
+}
+CELLS |= {
+    "BBQN-MC": ("env=domain_ext", "agent.target=mc"),
+    "shared target noise": ("env=domain_ext", "agent.target=mc", "agent.target_noise=shared"),
+    "separate networks with priors": (
+        *("env=domain_ext", "agent=bootstrap", "agent.trunk_layers=0"),
+        *("agent.prior_scale=3", "agent.double=true"),
+    ),
+    "VIME-MC": ("env=domain_ext", "intrinsic=vime", "intrinsic.weights=mc"),
+    "dynamics now and then": (
+        *("env=domain_ext", "agent=dqn", "intrinsic=vime", "intrinsic.dynamics_every=3"),
+    ),
+}
+
+pytestmark = pytest.mark.usefixtures("without_curves")
+
+
+@pytest.fixture
+def composed(restaurant_folder):
+    def compose_shrunken(*choices):
+        extension = EXTENSION if "env=domain_ext" in choices else ()
+        domain = ("domain=folder", f"domain.path={restaurant_folder}")
+        return compose([*SHRUNKEN, *extension, *domain, *choices])
+
+    return compose_shrunken
+
+
+def trained(config, folder):
+    """Runs a configuration. Returns its result, and what the loss holds after each round."""
+    learned = {}
+
+    def keep(trainer, rows):
+        state = trainer.loss.state_dict().values()
+        learned[trainer.rounds_done] = [tensor.clone() for tensor in state]
+
+    return run(config, folder, [keep]), learned
+
+
+@pytest.mark.parametrize("cell", CELLS)
+def test_a_cell_trains_at_once_or_resumed_bitwise_the_same_and_evaluates(cell, composed, tmp_path):
+    whole, parts = tmp_path / "whole", tmp_path / "parts"
+    config = composed(*CELLS[cell])
+    result, at_once = trained(config, whole)
+    one_round = dataclasses.replace(config.protocol, rounds=1)
+    trained(dataclasses.replace(config, protocol=one_round), parts)
+    resumed, later = trained(dataclasses.replace(config, resume=str(parts)), parts)
+
+    assert (list(at_once), list(later)) == ([1, 2], [2])
+    assert_close(at_once[2], later[2], rtol=0, atol=0)
+    assert len(result.per_replica) == 2
+    assert resumed.per_replica == result.per_replica
+    assert rows(whole / "metrics.csv") == rows(parts / "metrics.csv")
+
+    line = evaluate.evaluation(evaluate.composed([f"policy={parts}", "dialogues=6", "batch=6"]))
+    assert line["dialogues"] == 12
+    assert 0 <= line["success_rate"] <= 1
+
+
+def test_an_intrinsic_reward_is_learned_from_and_never_reported(composed, tmp_path):
+    """Before anything is learned the two play alike, so whatever differs would be the bonus."""
+    rounds = {}
+    for name, eta in (("none", ()), ("vime", ("intrinsic.eta=1000",))):
+        config = composed("agent=dqn", f"intrinsic={name}", "protocol.rounds=1", *eta)
+        result = run(config, tmp_path / name)
+        rounds[name] = read_metrics(tmp_path / name)
+        assert result.reward <= config.env.success_reward
+
+    for column in ("reward", "success_rate", "turns"):
+        assert (rounds["none"][column] == rounds["vime"][column]).all()
+    assert (rounds["vime"]["td_error"] > 10 * rounds["none"]["td_error"]).all()
+
+
+def test_the_dynamics_of_what_does_not_exist_yet_stay_at_the_prior(composed, tmp_path):
+    vime = ("agent=dqn", "intrinsic=vime", "intrinsic.prior_std=0.2")
+    trainer, _ = build_trainer(composed(*vime, "env=domain_ext", "protocol.rounds=1"), tmp_path)
+    env, network = trainer.env, trainer.loss.dynamics_loss.dynamics.network
+    actions = env.simulator.action_mask(env.active_slots)
+    inactive = ~torch.cat([env.active_features, actions])
+    assert inactive.any()
+
+    trainer.train()
+
+    mu, rho = (
+        network.layout.unflatten(values)[0][0]
+        for values in (network.posterior.mu, network.posterior.rho)
+    )
+    assert not mu[..., inactive, :].any()
+    assert (rho[..., inactive, :] == network.posterior.prior_rho).all()
+    assert mu[..., ~inactive, :].any()
+
+
+@pytest.mark.parametrize(
+    ("fraction", "epsilons"),
+    [(0, [0.5, 0.1, 0.1, 0.1]), (0.5, [0.5, 0.3, 0.1, 0.1]), (1, [0.5, 0.4, 0.3, 0.2])],
+)
+def test_a_schedule_falls_over_its_share_of_the_rounds(fraction, epsilons):
+    given = ["explore.eps_init=.5", "explore.eps_end=.1", f"explore.anneal_fraction={fraction}"]
+    config = compose(["agent=dqn", "protocol.rounds=4", *given])
+    env = config.env.make(config.domain.make(), (1, 2))
+    agent = make_agent(config, env)
+    seen = []
+    for _ in range(4):
+        seen.append(float(agent.metrics["epsilon"]()))
+        for module in agent.policy.modules():
+            if hasattr(module, "step"):
+                module.step(1)
+    assert seen == pytest.approx(epsilons)

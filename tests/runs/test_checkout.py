@@ -1,0 +1,86 @@
+"""The commit that a run says it was made by."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+
+import pytest
+
+from bbq_torchrl.evaluation.results import read_result
+from bbq_torchrl.runs.build import Checkout, checkout
+from bbq_torchrl.runs.resume import is_finished
+
+
+def git(folder, *command):
+    person = ("-c", "user.name=a", "-c", "user.email=a@example.org")
+    done = subprocess.run(["git", *person, *command], cwd=folder, check=True, capture_output=True)
+    return done.stdout.decode().strip()
+
+
+@pytest.fixture
+def package(tmp_path):
+    """A package in a checkout of its own, with a commit."""
+    folder = tmp_path / "project" / "package"
+    folder.mkdir(parents=True)
+    (folder / "__init__.py").touch()
+    (folder.parent / ".gitignore").write_text("runs/\nvenv/\n")
+    git(folder.parent, "init")
+    git(folder.parent, "add", ".")
+    git(folder.parent, "commit", "-m", "begin")
+    return folder
+
+
+def test_a_checkout_has_a_commit_and_is_clean_until_something_changes(package):
+    commit = git(package, "rev-parse", "HEAD")
+    assert checkout(package) == Checkout(commit, clean=True)
+    (package.parent / "runs").mkdir()
+    (package.parent / "runs" / "result.json").touch()  # ignored
+    assert checkout(package) == Checkout(commit, clean=True)
+    (package / "new.py").touch()
+    assert checkout(package) == Checkout(commit, clean=False)
+    git(package, "add", ".")
+    git(package, "commit", "-m", "go on")
+    after = git(package, "rev-parse", "HEAD")
+    assert after != commit
+    assert checkout(package) == Checkout(after, clean=True)
+    (package / "new.py").write_text("changed = True\n")
+    assert checkout(package) == Checkout(after, clean=False)
+
+
+def test_what_is_installed_below_the_checkout_of_another_project_has_none(package, tmp_path):
+    installed = package.parent / "venv" / "package"
+    installed.mkdir(parents=True)
+    (installed / "__init__.py").touch()
+    assert checkout(installed) == Checkout(None, None)
+    assert checkout(tmp_path) == Checkout(None, None)
+
+
+def test_a_checkout_without_a_commit_has_none(tmp_path):
+    git(tmp_path, "init")
+    (tmp_path / "__init__.py").touch()
+    git(tmp_path, "add", ".")
+    assert checkout(tmp_path) == Checkout(None, None)
+
+
+def test_nothing_fails_without_git(package, monkeypatch):
+    monkeypatch.setenv("PATH", "")
+    assert checkout(package) == Checkout(None, None)
+
+
+def test_the_repository_is_the_packages_own_whatever_the_environment_names(package, monkeypatch):
+    found = checkout(package)
+    monkeypatch.setenv("GIT_DIR", "/nowhere")
+    assert checkout(package) == found
+
+
+def test_a_result_has_the_commit_and_one_of_a_version_without_it_is_still_finished(finished, copy):
+    result = read_result(finished)
+    assert result.commit == checkout().commit
+    assert isinstance(result.clean, type(checkout().clean))
+    file = copy(finished) / "result.json"
+    plain = json.loads(file.read_text())
+    del plain["commit"], plain["clean"]
+    file.write_text(json.dumps(plain))
+    assert is_finished(file.parent, result.rounds)
+    assert (read_result(file.parent).commit, read_result(file.parent).clean) == (None, None)

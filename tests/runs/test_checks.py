@@ -1,0 +1,125 @@
+"""What depends on the machine and the domain is checked before anything runs."""
+
+from __future__ import annotations
+
+import logging
+import re
+import shutil
+
+import pytest
+from tiny import TINY, rows
+
+from bbq_torchrl.extras import install_command
+from bbq_torchrl.options import ConfigError
+from bbq_torchrl.runs.checks import check
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import build_trainer, run
+
+
+def test_a_logger_whose_package_is_missing_is_refused_with_the_way_to_it(monkeypatch):
+    monkeypatch.setattr("importlib.util.find_spec", lambda name, package=None: None)
+    message = f"logger=mlflow needs the package mlflow: {install_command('mlflow')}"
+    with pytest.raises(ConfigError, match=re.escape(message)):
+        check(compose(["logger=mlflow"]))
+
+
+def test_a_buffer_may_have_room_for_one_more_than_the_spike():
+    check(compose(["spike.dialogues=100", "protocol.capacity=801"]))  # a rule dialogue has 8 turns
+
+
+@pytest.fixture
+def where(restaurant_folder, tmp_path):
+    """A domain whose rule needs a slot that comes later."""
+    folder = shutil.copytree(restaurant_folder, tmp_path / "domain")
+    file = folder / "domain.yaml"
+    script = "steps: [request(cuisine), "
+    file.write_text(file.read_text().replace(script, f"{script}request(price_range), "))
+    return "domain=folder", f"domain.path={folder}"
+
+
+def test_a_result_says_which_policy_it_lacks_whose_slot_has_not_come(where, tmp_path, caplog):
+    config = compose([*TINY, *where, "env=domain_ext", "spike.policy=careful", "protocol.rounds=1"])
+    with caplog.at_level(logging.WARNING):
+        result = run(config, tmp_path / "run")
+    assert {"careful", "random"} <= result.scripted.keys()
+    assert "rule" not in result.scripted
+    assert any("left out of the result: policy rule" in told for told in caplog.messages)
+
+
+@pytest.fixture
+def never(restaurant_folder, tmp_path):
+    """Makes a domain whose first scripts forget to offer a booking."""
+
+    def with_scripts(*names, rest=""):
+        folder = shutil.copytree(restaurant_folder, tmp_path / "domain")
+        head = (folder / "domain.yaml").read_text().partition("policies:\n")[0]
+        forgetful = "".join(
+            f"  {name}: {{kind: script, steps: [request(cuisine), thanks]}}\n" for name in names
+        )
+        (folder / "domain.yaml").write_text(f"{head}policies:\n{forgetful}{rest}")
+        return "domain=folder", f"domain.path={folder}", "env.slot_error_prob=0"
+
+    return with_scripts
+
+
+SHORT = [item for item in TINY if not item.startswith(("spike", "env.max_turn"))]
+
+
+def test_the_first_script_that_succeeds_spikes_and_is_told(never, tmp_path, caplog):
+    later = "  later: {kind: careful, steps: [cuisine, area]}\n"
+    careful = "  careful: {kind: careful, steps: [cuisine, area, day, hour, party_size]}\n"
+    where = never("rule", "second", rest=careful + later)
+    config = compose([*SHORT, *where, "protocol.rounds=1", "spike.dialogues=20"])
+    assert {check(config).spiking for config.seed in (0, 1, 2)} == {"careful"}
+    with caplog.at_level(logging.INFO):
+        run(config, tmp_path / "run")
+    assert "spiking with the policy careful, the first that succeeds" in caplog.messages
+    (told,) = [text for text in caplog.messages if "dialogues that spike the buffer" in text]
+    assert float(told.split()[0]) > 0
+
+
+def test_a_domain_none_of_whose_scripts_succeeds_is_refused_with_the_way_out(never):
+    where = never("rule", "second")
+    with pytest.raises(ConfigError, match=r"none of rule, second does in 500 .*spike=none"):
+        check(compose(list(where)))
+    check(compose([*where, "spike=none"]))
+
+
+def test_a_script_that_never_succeeds_spikes_where_it_is_chosen(never, tmp_path, caplog):
+    where = never("rule", rest="  careful: {kind: careful, steps: [cuisine]}\n")
+    chosen = [*SHORT, *where, "protocol.rounds=1", "spike.dialogues=5", "spike.policy=rule"]
+    config = compose(chosen)
+    check(config)
+    run(config, tmp_path / "run")
+    assert "none of the 5 spiked dialogues of replica 0 is a success" in caplog.messages
+
+
+def test_a_script_of_a_later_round_is_passed_over(where):
+    config = compose([*where, "env=domain_ext"])
+    assert check(config).spiking == "careful"
+
+
+@pytest.mark.parametrize("domain", ["movie", "miulab"])
+def test_the_public_domains_are_spiked_by_their_rule_with_the_same_dialogues(
+    domain, request, tmp_path
+):
+    of = [f"domain={domain}"]
+    if domain == "miulab":
+        of.append(f"domain.path={request.getfixturevalue('tcbot')}")
+    small = [*SHORT, *of, "protocol.capacity=2000", "spike.dialogues=20", "protocol.rounds=1"]
+    for name, choice in {"default": (), "rule": ("spike.policy=rule",)}.items():
+        run(compose([*small, *choice]), tmp_path / name)
+    default, rule = (rows(tmp_path / name / "metrics.csv") for name in ("default", "rule"))
+    assert default == rule
+
+
+@pytest.mark.parametrize("policy", ["careful_essential", "repair"])
+@pytest.mark.parametrize("env", ["full", "domain_ext"])
+def test_a_policy_that_repairs_fills_the_buffers_with_successes(policy, env, tmp_path):
+    longer = ("env.max_turn=40", "protocol.capacity=800", "spike.dialogues=30")
+    config = compose([*TINY, *longer, f"env={env}", f"spike.policy={policy}", "replicas=2"])
+    trainer, _ = build_trainer(config, tmp_path, domain=check(config).domain)
+    trainer.begin()
+    for buffer in trainer.replay.buffers:
+        assert int(buffer[:]["next", "done"].sum()) == 30
+        assert (buffer[:]["next", "reward"] == 40.0).sum() > 12

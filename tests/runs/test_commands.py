@@ -1,0 +1,161 @@
+"""The commands as a person types them, on a protocol that is shrunk to seconds.
+
+Training runs in children of this process; processes of their own are in the slow tests of
+``test_launchers.py``, ``test_values.py`` and ``tests/adversary``.
+"""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import forked
+import pytest
+import torch
+from tiny import TINY, rows
+
+from bbq_torchrl import evaluate, load_run
+from bbq_torchrl.evaluation.results import read_result
+from bbq_torchrl.evaluation.rollouts import evaluate as evaluate_policy
+from bbq_torchrl.runs.train import main as train_main
+
+TRAIN = forked.ROOT / "train.py"
+
+SMALL = (*TINY, "protocol.rounds=3", "protocol.eval_dialogues=30", "protocol.eval_batch=30")
+
+
+def train(command, *more, cwd, code=0):
+    return forked.call(train_main, *command.split(), *more, cwd=cwd, code=code)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory):
+    """A run of three replicas, from the command of the README on a shrunk protocol."""
+    folder = tmp_path_factory.mktemp("cli") / "run"
+    growing = "env=domain_ext env.start=1 env.every=1"
+    command = f"agent=bbqn explore=thompson {growing} replicas=3 seed=7 device=cpu"
+    train(command, *SMALL, f"hydra.run.dir={folder}", cwd=folder.parent)
+    return folder
+
+
+def test_a_run_folder_holds_configuration_metrics_result_curve_and_checkpoints(finished):
+    names = {path.name for path in finished.iterdir()}
+    files = {"config.yaml", ".hydra", "metrics.csv", "result.json", "curve.png", "checkpoint"}
+    assert files <= names
+    assert "scalars" not in names  # metrics.csv is the one file of a round's numbers
+    assert [(row["round"], row["replica"]) for row in rows(finished / "metrics.csv")] == [
+        (str(number), str(replica)) for number in range(3) for replica in range(3)
+    ]
+    assert (finished / "curve.png").read_bytes().startswith(b"\x89PNG")
+
+
+def test_the_result_says_what_ran_and_how_well(finished):
+    result = json.loads((finished / "result.json").read_text())
+    expected = {"agent": "bbqn", "explore": "thompson", "env": "domain_ext", "domain": "movie"}
+    expected |= {"seed": 7, "rounds": 3, "replicas": 3, "dialogues": 90}
+    assert {key: result[key] for key in expected} == expected
+    assert [item["dialogues"] for item in result["per_replica"]] == [30, 30, 30]
+    mean = sum(item["success_rate"] for item in result["per_replica"]) / 3
+    assert result["success_rate"] == pytest.approx(mean)
+    assert {"torch", "torchrl", "tensordict", "bbq-torchrl"} <= result["versions"].keys()
+    assert result["wall_seconds"] > 0
+
+
+@pytest.mark.parametrize("mode", ["mean", "average", "thompson"])
+def test_a_trained_run_is_evaluated_by_every_policy_of_its_posterior(finished, capsys, mode):
+    assert evaluate.main([f"policy={finished}", "dialogues=25", "batch=10", f"mode={mode}"]) == 0
+    (line,) = capsys.readouterr().out.splitlines()
+    answer = json.loads(line)
+    assert (answer["env"], answer["dialogues"], answer["mode"]) == ("domain_ext", 75, mode)
+
+
+def test_a_loaded_run_plays_as_it_was_reported(finished):
+    env, policy, config, mode = load_run(finished, dialogues=30)
+    assert mode == "mean"
+    assert env.round == 2
+    played = evaluate_policy(env, policy, 30, seed=config.seed)
+    reported = [item.success_rate for item in read_result(finished).per_replica]
+    assert played.success.double().mean(-1).tolist() == pytest.approx(reported)
+
+
+def test_a_loaded_run_is_a_policy_for_its_environment(finished):
+    loaded = load_run(finished, dialogues=3, mode="thompson", weights="best")
+    rollout = loaded.env.rollout(4, loaded.policy, break_when_any_done=False)
+    assert rollout.batch_size == torch.Size([3, 3, 4])
+    assert loaded.mode == "thompson"
+
+
+def test_other_weights_than_there_are_are_refused(finished):
+    with pytest.raises(ValueError, match=r"weights must be one of last, best, got 'first'"):
+        load_run(finished, weights="first")
+
+
+def test_a_policy_that_reads_the_hidden_goal_is_called_privileged(capsys):
+    assert evaluate.main(["policy=clairvoyant", "dialogues=20"]) == 0
+    assert json.loads(capsys.readouterr().out)["privileged"] is True
+
+
+def test_a_scripted_policy_is_evaluated_and_its_dialogues_are_written(
+    tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    arguments = "policy=rule dialogues=300 batch=128 log=dialogues.txt log_dialogues=4"
+    assert evaluate.main(arguments.split()) == 0
+    answer = json.loads(capsys.readouterr().out)
+    assert (answer["dialogues"], answer["turns"]) == (300, 8)
+    assert "privileged" not in answer
+    rate = answer["success_rate"]
+    assert answer["standard_error"] == pytest.approx((rate * (1 - rate) / 300) ** 0.5)
+    # Reward of 8 turns: -1 for the first 7, then 40 or -10.
+    assert answer["reward"] == pytest.approx(-7 + 40 * rate - 10 * (1 - rate))
+    log = (tmp_path / "dialogues.txt").read_text()
+    assert log.count("dialogue ") == 4
+    assert log.count("agent: ") == 4 * 8
+    assert log.count("  success\n") + log.count("  failure\n") == 4
+
+
+def test_a_sweep_trains_each_agent_with_its_own_exploration_where_its_recipe_says(tmp_path):
+    sweep = (  # the default launcher is tested, slowly, in test_launchers.py
+        "--multirun hydra/launcher=basic +experiment/table1=full_bbqn_map,full_dqn",
+        *(*SMALL, "protocol.rounds=1", "replicas=1"),
+        "+hydra.callbacks.keep._target_=runs.returned.KeepReturned",
+        f"hydra.sweep.dir={tmp_path / 'sweep'}",
+    )
+    folders = [tmp_path / "sweep" / "full" / agent / "seed0" for agent in ("bbqn_map", "dqn")]
+    made = []
+    for _ in range(2):  # what is finished is left as it is
+        train(*sweep, cwd=tmp_path)
+        results = [read_result(folder) for folder in folders]
+        assert [result.explore for result in results] == ["thompson", "epsilon_greedy"]
+        returned = [float((folder / "returned.txt").read_text()) for folder in folders]
+        assert returned == [result.success_rate for result in results]
+        made.append([(folder / "config.yaml").stat().st_mtime_ns for folder in folders])
+        for folder in folders:
+            (folder / "returned.txt").unlink()
+    assert made[0] == made[1]
+
+
+def test_jobs_find_a_domain_from_where_the_sweep_began(restaurant_folder, tmp_path):
+    shutil.copytree(restaurant_folder, tmp_path / "restaurant")
+    sweep = "--multirun hydra/launcher=basic hydra.sweep.dir=sweep hydra.sweep.subdir=job"
+    domain = "hydra.job.chdir=true domain=folder domain.path=restaurant agent=dqn"
+    train(f"{sweep} {domain}", *TINY, "protocol.rounds=1", cwd=tmp_path)
+    assert read_result(tmp_path / "sweep" / "job").domain == "restaurant"
+
+
+def test_a_loss_that_is_not_finite_stops_the_run_with_its_state_saved(tmp_path):
+    command = "agent.lr=1e30 replicas=2 hydra.run.dir=run"
+    _, message = train(command, *SMALL, cwd=tmp_path, code=1)
+    assert "the loss of replicas 0, 1 is not finite in round 0; the state is saved in" in message
+    assert "Traceback" not in message
+    assert (tmp_path / "run" / "checkpoint" / "failed-round-000000.torchrl").is_file()
+    assert not (tmp_path / "run" / "result.json").exists()
+
+
+def test_help_shows_groups_and_pairs_without_importing_torch(tmp_path):
+    out, imported = forked.python("-X", "importtime", TRAIN, "--help", cwd=tmp_path)
+    assert "agent=dqn        explore=epsilon_greedy (default)" in out
+    assert "experiment=" in out
+    assert "hydra" in imported
+    assert "torch" not in imported.replace("bbq_torchrl", "")
+    assert not list(tmp_path.iterdir())

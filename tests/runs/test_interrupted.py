@@ -1,0 +1,213 @@
+"""Signals, killed runs and extensions: what was saved goes on."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+
+import pytest
+from forked import environment
+from hydra.core.utils import JobReturn, JobStatus
+from tiny import rows
+
+from bbq_torchrl import interruption
+from bbq_torchrl.options import ConfigError
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.resume import load_config
+from bbq_torchrl.runs.sweeps import FULL_ERROR, Sweep, table_of_runs
+from bbq_torchrl.runs.train import run
+from bbq_torchrl.trainers import RunFolderGoneError
+
+from .trusted import DQN, resumed, state_of
+
+pytestmark = pytest.mark.usefixtures("without_curves")
+
+
+class Killed(BaseException):
+    """What ends a process: nothing more is written."""
+
+
+def test_an_interrupted_extension_goes_on(copy, kept, tmp_path):
+    folder = copy(kept)
+    longer = compose([*DQN, "protocol.keep_checkpoints=last", "protocol.rounds=6"])
+    run(longer, tmp_path / "uninterrupted")
+
+    config = load_config(folder / "config.yaml")
+    config.protocol.rounds, config.resume = 6, str(folder)
+
+    def kill(trainer, rows):
+        if trainer.rounds_done == 5:
+            raise Killed
+
+    with pytest.raises(Killed):
+        run(config, folder, [kill])
+    assert json.loads((folder / "result.json").read_text())["rounds"] == 3
+    assert table_of_runs(tmp_path, 0).startswith("1 of 2 runs")
+
+    result = resumed(folder)
+
+    assert result.rounds == 6
+    assert rows(folder / "metrics.csv") == rows(tmp_path / "uninterrupted" / "metrics.csv")
+
+
+@pytest.mark.parametrize("done", [1, 2, 6])
+def test_a_run_whose_folder_is_moved_ends_at_once_and_goes_on_in_its_new_place(tmp_path, done):
+    longer = compose([*DQN, "protocol.keep_checkpoints=last", "protocol.rounds=6"])
+    longer.protocol.checkpoint_every = 2
+    run(longer, tmp_path / "uninterrupted")
+    old, new = tmp_path / "old", tmp_path / "new"
+    played = []
+
+    def move(trainer, rows):
+        played.append(trainer.rounds_done)
+        if trainer.rounds_done == done:
+            if done == 6:  # so that what follows is the final evaluation
+                trainer.checkpoints.save(6, trainer.described)
+                trainer.rounds_saved = 6
+                trainer.checkpoint_every = 100
+            old.rename(new)
+
+    with pytest.raises(RunFolderGoneError, match=r"old was moved or removed .*resume=<where it is"):
+        run(longer, old, [move])
+
+    assert played[-1] == done
+    assert not old.exists()
+    resumed(new)
+    assert rows(new / "metrics.csv") == rows(tmp_path / "uninterrupted" / "metrics.csv")
+
+
+def test_metrics_that_are_removed_while_a_run_trains_are_written_again(tmp_path):
+    config = compose([*DQN, "protocol.rounds=3"])
+    run(config, tmp_path / "left alone")
+
+    def remove(trainer, rows):
+        if trainer.rounds_done == 2:
+            trainer.metrics.path.unlink()
+
+    run(config, tmp_path / "run", [remove])
+
+    assert rows(tmp_path / "run" / "metrics.csv") == rows(tmp_path / "left alone" / "metrics.csv")
+
+
+def test_a_run_killed_before_its_curve_is_drawn_is_finished_by_resume(copy, finished):
+    folder = copy(finished)
+    (folder / "curve.png").unlink()
+    result = (folder / "result.json").read_bytes()
+
+    resumed(folder)
+
+    assert (folder / "curve.png").is_file()
+    assert (folder / "result.json").read_bytes() == result
+    with pytest.raises(ConfigError, match="is finished"):
+        resumed(folder)
+
+
+@pytest.fixture
+def listening():
+    """Has signals end a run in good order, in this process, and then as before."""
+    numbers = (signal.SIGINT, signal.SIGTERM)
+    before = {number: signal.signal(number, signal.SIG_DFL) for number in numbers}
+    interruption.listen()
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+    interruption._State.received = None
+
+
+def test_hydra_does_not_tell_of_each_job_that_a_signal_has_ended(
+    tmp_path, listening, capsys, monkeypatch
+):
+    monkeypatch.setenv(FULL_ERROR, "0")  # the signal sets it
+    failed = JobReturn(["seed=1"], status=JobStatus.FAILED)
+    failed.return_value = ConfigError("it has failed")
+    with Sweep(tmp_path, 1, "basic").interruptible():
+        with pytest.raises(ConfigError):
+            _ = failed.return_value
+        assert capsys.readouterr().err == "Error executing job with overrides: ['seed=1']\n"
+        os.kill(os.getpid(), signal.SIGTERM)
+        with pytest.raises(ConfigError):
+            _ = failed.return_value
+        assert not capsys.readouterr().err
+
+
+def test_a_signal_lets_the_round_end_and_saves_it(tmp_path, listening, kept):
+    assert signal.getsignal(signal.SIGINT) is signal.getsignal(signal.SIGTERM)
+    folder = tmp_path / "run"
+    interruption.tell(how_to_go_on=lambda: "so it goes on")
+
+    def signaled(trainer, rows):
+        os.kill(os.getpid(), signal.SIGTERM)
+
+    with pytest.raises(interruption.Interrupted):
+        run(compose([*DQN, "protocol.keep_checkpoints=last"]), folder, [signaled])
+
+    assert interruption.exit_code() == 128 + signal.SIGTERM
+    assert interruption.line() == "interrupted after 1 of 3 rounds, 1 saved: so it goes on"
+    newest = max((folder / "checkpoint").iterdir()).name
+    assert newest == "round-000001.torchrl"
+    interruption._State.received = None
+    resumed(folder)
+    assert rows(folder / "metrics.csv") == rows(kept / "metrics.csv")
+
+
+def test_who_handles_a_signal_already_goes_on_handling_it():
+    before = signal.signal(signal.SIGTERM, own := lambda number, frame: None)
+    before_int = signal.getsignal(signal.SIGINT)
+    try:
+        interruption.listen()
+        assert signal.getsignal(signal.SIGTERM) is own
+    finally:
+        signal.signal(signal.SIGTERM, before)
+        signal.signal(signal.SIGINT, before_int)
+
+
+def test_every_checkpoint_is_kept_on_request(tmp_path):
+    run(compose([*DQN, "protocol.keep_checkpoints=all", "protocol.checkpoint_every=1"]), tmp_path)
+    assert len(list((tmp_path / "checkpoint").glob("round-*"))) == 4
+
+
+def test_a_disk_without_room_is_an_error_before_the_first_byte(kept, monkeypatch):
+    """A memory map on a full disk is no error, it kills: so room is taken first."""
+    from bbq_torchrl.trainers import CheckpointFolder
+
+    def full(descriptor, offset, length):
+        assert length >= 1 << 20
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "posix_fallocate", full)
+    folder = CheckpointFolder(kept / "checkpoint")
+    before = state_of(kept)
+    with pytest.raises(OSError, match="No space left on device"):
+        folder.save(9, {})
+    assert state_of(kept) == before
+
+
+ORPHAN = """
+import multiprocessing, time
+from bbq_torchrl import interruption
+
+def work():
+    interruption.end_with_parent()
+    print("begun", flush=True)
+    time.sleep(20)
+    print("survived", flush=True)
+
+worker = multiprocessing.get_context("fork").Process(target=work)
+worker.start()
+worker.join()
+"""
+
+
+def test_a_worker_ends_when_its_parent_is_killed():
+    parent = subprocess.Popen(
+        [sys.executable, "-c", ORPHAN], env=environment(), stdout=subprocess.PIPE, text=True
+    )
+    assert parent.stdout.readline() == "begun\n"
+
+    parent.kill()
+    rest, _ = parent.communicate()  # until the worker cannot write any more
+
+    assert rest == ""

@@ -1,0 +1,85 @@
+"""Sweeps and searches as a person types them, on every engine that can run on one machine."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+
+import forked
+import pytest
+from prepared import prepare
+from tiny import TINY
+
+from bbq_torchrl.extras import install_command
+from bbq_torchrl.options import ConfigError
+from bbq_torchrl.runs.compose import compose, compose_raw, session
+from bbq_torchrl.runs.resume import restarted_config, save_config
+
+PLUGINS = {
+    "cores": None,
+    "slurm_local": ("hydra_submitit_launcher", "slurm"),
+    "ray_tasks": ("hydra_ray_launcher", "ray"),
+}
+
+
+def needs(package, extra):
+    if importlib.util.find_spec(package) is None:
+        pytest.skip(f"needs the extra {extra}: pip install -e '.[{extra}]'")
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("launcher", PLUGINS)
+def test_a_job_that_fails_leaves_the_others_alone_and_is_named(launcher, tmp_path):
+    if PLUGINS[launcher]:
+        package, extra = PLUGINS[launcher]
+        needs(f"hydra_plugins.{package}", extra)
+    few = ["hydra.launcher.ray.init.num_cpus=2"] if launcher == "ray_tasks" else []
+    _, err = forked.python(
+        forked.ROOT / "train.py",
+        "--multirun",
+        f"hydra/launcher={launcher}",
+        "agent=dqn,bbqn",
+        "agent.lr=1e30,.001",  # the first fails, so that there is something to lose
+        *TINY,
+        *few,
+        "hydra.sweep.dir=sweep",
+        cwd=tmp_path,
+        code=1,
+    )
+    finished = sorted(file.parent.name for file in (tmp_path / "sweep").glob("*/result.json"))
+    assert finished == ["1_dqn_epsilon_greedy_full_seed0", "3_bbqn_thompson_boltzmann_full_seed0"]
+    assert "2 of 4 runs in sweep are finished" in err
+    for failed in ("0_dqn_epsilon_greedy_full_seed0", "2_bbqn_thompson_boltzmann_full_seed0"):
+        line = next(line for line in err.splitlines() if line.startswith(failed))
+        assert "agent.lr=1e+30" in line  # as Hydra writes it
+        assert "not finished: train.log in it says why" in line
+        assert "is not finite in round 0" in (tmp_path / "sweep" / failed / "train.log").read_text()
+
+
+def test_a_sweep_runs_on_all_cores_with_a_thread_a_job_by_default():
+    with session():
+        composed = compose_raw([])
+    assert composed.hydra.launcher._target_.endswith(".JoblibLauncher")
+    assert composed.hydra.launcher.n_jobs == -1
+    assert composed.threads == 1
+
+
+def test_a_launcher_without_its_package_or_program_is_refused(monkeypatch, tmp_path):
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setenv("PATH", "")
+    name = "slurm"
+    message = re.escape(f"needs a package that is missing: {install_command('slurm')}")
+    if importlib.util.find_spec("hydra_plugins.hydra_submitit_launcher") is not None:
+        message = "hydra/launcher=slurm needs the program sbatch"
+    with pytest.raises(ConfigError, match=message):
+        prepare(["--multirun", f"hydra/launcher={name}"])
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_job_that_a_launcher_starts_again_goes_on_in_its_folder(tmp_path):
+    config = compose(["agent=bbqn", "agent.prior_std=.07", "agent.lr=1e-3"])
+    assert restarted_config(config, tmp_path).resume is None
+    save_config(config, tmp_path / "config.yaml")
+    assert restarted_config(config, tmp_path).resume == str(tmp_path)
+    with pytest.raises(ConfigError, match="already holds another run"):
+        restarted_config(compose(["agent=bbqn", "seed=1"]), tmp_path)

@@ -1,0 +1,320 @@
+"""Several logged runs in one process stay separate, each with configuration, rounds and result."""
+
+from __future__ import annotations
+
+import importlib.util
+import json
+import os
+import struct
+from dataclasses import dataclass, field
+
+import forked
+import pytest
+from own_options import own_options
+from tiny import TINY, rows
+from torchrl.record.loggers import Logger
+
+from bbq_torchrl.evaluation.results import read_result
+from bbq_torchrl.options import ConfigError, LoggerOption, register
+from bbq_torchrl.options.settings import option
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import run
+from bbq_torchrl.trainers import TrainingError
+
+RUN = ["agent=dqn", *TINY, "replicas=2"]
+
+
+@dataclass
+class Logged:
+    """A run as a logger has it: its configuration, its rounds in order, and its result."""
+
+    config: dict = field(default_factory=dict)
+    rounds: list = field(default_factory=list)
+    result: dict = field(default_factory=dict)
+    state: str = ""
+
+
+class Recorder(Logger):
+    """A logger of one's own, which may be closed once and then takes nothing."""
+
+    def __init__(self, folder):
+        self.logged = Logged()
+        super().__init__("recorder", str(folder))
+
+    def _create_experiment(self):
+        return None
+
+    def log_hparams(self, cfg):
+        assert not self.logged.state
+        self.logged.config = cfg
+
+    def log_metrics(self, metrics, step=None, **_):
+        assert not self.logged.state
+        if "result/success_rate" in metrics:
+            self.logged.result = metrics
+        else:
+            self.logged.rounds.append((step, metrics))
+
+    def close(self, timeout=None):
+        assert not self.logged.state
+        self.logged.state = "closed"
+
+    log_scalar = log_video = log_histogram = __repr__ = None
+
+
+RECORDED = {}
+
+
+@dataclass
+class Own(LoggerOption):
+    """A logger of one's own."""
+
+    name: str = option("own")
+
+    def make(self, run_folder, *, resume=False):
+        RECORDED[run_folder] = Recorder(run_folder)
+        return [RECORDED[run_folder]]
+
+
+def of_recorder(folder):
+    return RECORDED[folder].logged
+
+
+def of_csv(folder):
+    """Metrics, configuration and result in the run folder itself, as every run has them."""
+    assert not [*folder.glob("*tensorboard*"), *folder.glob("*.db"), *folder.glob("wandb")]
+    names = {path.name for path in folder.iterdir()}
+    assert {"config.yaml", "metrics.csv", "result.json"} <= names
+
+
+def of_tensorboard(folder):
+    pytest.importorskip("tensorboard")
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    (file,) = (folder / "tensorboard").iterdir()
+    events = EventAccumulator(str(file)).Reload()
+    (text,) = events.Tensors("config/text_summary")
+    lines = text.tensor_proto.string_val[0].decode().splitlines()
+    logged = Logged(dict(line.strip().split(": ", 1) for line in lines))
+    by_step = {}
+    for tag in events.Tags()["scalars"]:
+        for event in events.Scalars(tag):
+            if tag.startswith("result/"):
+                logged.result[tag] = event.value
+            else:
+                by_step.setdefault(event.step, {})[tag] = event.value
+    logged.rounds = sorted(by_step.items())
+    return logged
+
+
+def check(folder, logged, seed):
+    """A logger has of a run what its folder has, and nothing of another one's."""
+    assert str(logged.config["seed"]) == str(seed)
+    assert str(logged.config["agent.hidden"]).replace(" ", "") == "[8,8]"
+    assert "resume" not in logged.config
+    table = rows(folder / "metrics.csv")
+    assert [step for step, _ in logged.rounds] == [0, 1]
+    for row in table:
+        values = logged.rounds[int(row.pop("round"))][1]
+        replica = row.pop("replica")
+        found = {key: values[f"{key}/replica_{replica}"] for key, value in row.items() if value}
+        given = {key: float(value) for key, value in row.items() if value}
+        assert found == pytest.approx(given, rel=1e-6)
+    result = read_result(folder)
+    for name in ("success_rate", "reward", "training_success"):
+        assert logged.result[f"result/{name}"] == pytest.approx(getattr(result, name), rel=1e-6)
+        of_one = getattr(result.per_replica[1], name)
+        assert logged.result[f"result/{name}/replica_1"] == pytest.approx(of_one, rel=1e-6)
+    assert logged.result["result/scripted/random"] == pytest.approx(result.scripted["random"])
+    assert logged.result["result/while_training/last"] == pytest.approx(result.while_training.last)
+
+
+@pytest.mark.parametrize(
+    ("name", "read"), [("csv", of_csv), ("tensorboard", of_tensorboard), ("own", of_recorder)]
+)
+def test_two_runs_of_a_process_are_two_of_the_logger(name, read, tmp_path):
+    with own_options():
+        register(Own)
+        for seed in (0, 1):
+            folder = tmp_path / f"seed{seed}"
+            run(compose([*RUN, f"logger={name}", f"seed={seed}"]), folder)
+            if (logged := read(folder)) is not None:
+                check(folder, logged, seed)
+
+
+def test_what_closes_a_logger_is_told_whether_the_run_has_finished(tmp_path, monkeypatch):
+    closed = []
+
+    def close(self, loggers, *, finished):
+        closed.append((list(loggers), finished))
+
+    def fail(trainer, rows):
+        raise TrainingError("the loss is not finite")
+
+    with own_options():
+        register(Own)
+        monkeypatch.setattr(Own, "close", close)
+        config = compose([*RUN, "logger=own"])
+        with pytest.raises(TrainingError):
+            run(config, tmp_path / "failed", [fail])
+        run(config, tmp_path / "finished")
+    assert [finished for _, finished in closed] == [False, True]
+    assert [made for (made,), _ in closed] == list(RECORDED.values())[-2:]
+
+
+def test_what_a_logger_option_makes_is_checked(tmp_path, monkeypatch):
+    config = compose(RUN)
+    monkeypatch.setattr(type(config.logger), "make", lambda self, run_folder, *, resume: 5)
+    message = "^make of logger=csv must return a list of loggers, got int$"
+    with pytest.raises(ConfigError, match=message):
+        run(config, tmp_path)
+
+
+# ------------------------------------------------------------------ the real packages
+
+
+def of_wandb(folder):
+    """Reads the file of an offline run: a log of protocol buffers in blocks of 32 KiB."""
+    from wandb.proto import wandb_internal_pb2 as protocol
+
+    (file,) = (folder / "wandb").glob("offline-run-*/*.wandb")
+    data, at, part, logged = file.read_bytes(), 7, b"", Logged()
+    while at + 7 <= len(data):
+        if (left := 32_768 - at % 32_768) < 7:
+            at += left
+            continue
+        _, length, kind = struct.unpack_from("<IHB", data, at)
+        part += data[at + 7 : at + 7 + length]
+        at += 7 + length
+        if kind in (1, 4):  # whole, or the last part
+            record = protocol.Record.FromString(part)
+            part = b""
+            _take(record, logged)
+    return logged
+
+
+def _take(record, logged):
+    def values(items):
+        return {
+            "/".join(item.nested_key) or item.key: json.loads(item.value_json) for item in items
+        }
+
+    kind = record.WhichOneof("record_type")
+    if kind == "config":
+        logged.config |= values(record.config.update)
+    elif kind == "history":
+        row = values(record.history.item)
+        (step,) = {value for key, value in row.items() if key.endswith("/step")}
+        logged.rounds.append((step, row))
+    elif kind == "summary":
+        logged.result |= values(record.summary.update)
+    elif kind == "exit":
+        logged.state = "failed" if record.exit.exit_code else "finished"
+
+
+def of_mlflow(folder):
+    from mlflow import MlflowClient
+
+    from bbq_torchrl.extras import sqlite_url
+
+    client = MlflowClient(os.environ.get("MLFLOW_TRACKING_URI") or sqlite_url(folder / "mlflow.db"))
+    (experiment,) = client.search_experiments(filter_string="name = 'bbq-torchrl'")
+    found = client.search_runs([experiment.experiment_id])
+    (ours,) = [item for item in found if item.info.run_name == folder.name]
+    logged = Logged(dict(ours.data.params), state=ours.info.status.lower())
+    by_step = {}
+    for key, value in ours.data.metrics.items():
+        if key.startswith("result/"):
+            logged.result[key] = value
+            continue
+        for entry in client.get_metric_history(ours.info.run_id, key):
+            by_step.setdefault(entry.step, {})[key] = entry.value
+    logged.rounds = sorted(by_step.items())
+    return logged
+
+
+def needs(package):
+    if importlib.util.find_spec(package) is None:
+        pytest.skip(f"needs the extra {package}: pip install -e '.[{package}]'")
+
+
+def sweep(name, folder):
+    """Three jobs in one process, the first of which fails. Returns the folders of the jobs."""
+    forked.python(
+        *(forked.ROOT / "train.py", "--multirun", "hydra/launcher=basic", *RUN, f"logger={name}"),
+        *("agent.lr=1e30,.001,.002", f"hydra.sweep.dir='{folder}'"),
+        *("hydra.sweep.subdir='job_${hydra.job.num}'", "seed=7"),
+        cwd=folder.parent,
+        code=1,
+    )
+    return [folder / f"job_{number}" for number in range(3)]
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore::DeprecationWarning", "ignore::FutureWarning")  # MLflow's
+@pytest.mark.parametrize(
+    ("name", "read", "given"),
+    [
+        ("wandb", of_wandb, {"WANDB_MODE": "offline"}),
+        ("mlflow", of_mlflow, {}),
+        ("mlflow", of_mlflow, {"MLFLOW_TRACKING_URI": "sqlite:///{folder}/shared.db"}),
+    ],
+)
+def test_each_job_of_a_process_is_a_run_of_the_real_package(
+    name, read, given, tmp_path, monkeypatch
+):
+    needs(name)
+    for key in ("MLFLOW_TRACKING_URI", *given):
+        monkeypatch.delenv(key, raising=False)
+    for key, value in given.items():
+        monkeypatch.setenv(key, value.format(folder=tmp_path))
+    # A path with what has a meaning in an address.
+    failed, *finished = sweep(name, tmp_path / ("sweep" if given else "a%23b#c?d {e} é"))
+    assert read(failed).state == "failed"
+    for folder, lr in zip(finished, (0.001, 0.002), strict=True):
+        logged = read(folder)
+        check(folder, logged, 7)
+        assert float(logged.config["agent.lr"]) == lr
+        assert logged.state == "finished"
+    databases = sorted(file.relative_to(tmp_path).as_posix() for file in tmp_path.rglob("*.db"))
+    if "MLFLOW_TRACKING_URI" in given:
+        assert databases == ["shared.db"]
+    elif name == "mlflow":
+        assert databases == [f"a%23b#c?d {{e}} é/job_{number}/mlflow.db" for number in range(3)]
+    assert len(list(tmp_path.iterdir())) == 1 + ("MLFLOW_TRACKING_URI" in given)
+
+
+@pytest.mark.slow
+def test_a_run_of_wandb_without_a_key_is_refused_before_it_begins(tmp_path, monkeypatch):
+    needs("wandb")
+    for name in [name for name in os.environ if name.startswith("WANDB")]:
+        monkeypatch.delenv(name)
+    monkeypatch.delenv("NETRC", raising=False)
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for arguments in (RUN, ["--multirun", *RUN, "seed=0,1"]):
+        _, told = forked.python(
+            forked.ROOT / "train.py", *arguments, "logger=wandb", cwd=tmp_path, code=2
+        )
+        assert told.splitlines()[-1] == (
+            "error: logger=wandb needs an API key of W&B: run `wandb login`, set WANDB_API_KEY, or "
+            "log offline by WANDB_MODE=offline"
+        )
+        assert not list(tmp_path.rglob("config.yaml"))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("given", ["WANDB_API_KEY", "netrc", "WANDB_MODE"])
+def test_wandb_is_ready_with_a_key_or_offline(given, tmp_path, monkeypatch):
+    needs("wandb")
+    monkeypatch.setenv("HOME", str(tmp_path))
+    for name in ("WANDB_API_KEY", "WANDB_MODE", "NETRC"):
+        monkeypatch.delenv(name, raising=False)
+    key = "0123456789" * 4
+    if given == "netrc":
+        (tmp_path / ".netrc").write_text(f"machine api.wandb.ai login user password {key}\n")
+    else:
+        monkeypatch.setenv(given, "offline" if given == "WANDB_MODE" else key)
+    program = (
+        "from bbq_torchrl.options import schemas; schemas()['logger']['wandb']().check_ready()"
+    )
+    forked.python("-c", program, cwd=tmp_path)

@@ -1,0 +1,111 @@
+"""Agents that come with the package load as runs do, and are what was trained."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+import yaml
+from tiny import TINY
+from torchrl.envs.utils import ExplorationType, set_exploration_type
+
+from bbq_torchrl import evaluate, load_run
+from bbq_torchrl.evaluation.results import read_result
+from bbq_torchrl.runs import shipped
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.train import run
+from scripts import ship_agent
+
+SHRUNKEN = (
+    *TINY,
+    "protocol.rounds=1",
+    "protocol.eval_every=0",
+    "protocol.keep_checkpoints=weights",
+    "replicas=2",
+)
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory, without_curves):
+    """A finished run of two replicas."""
+    folder = tmp_path_factory.mktemp("run")
+    run(compose(list(SHRUNKEN)), folder)
+    (folder / ".hydra").mkdir()
+    (folder / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump(list(SHRUNKEN)))
+    return folder
+
+
+def evaluated(*given):
+    return evaluate.evaluation(evaluate.composed(given))
+
+
+@pytest.mark.parametrize("name", shipped.shipped_agents())
+def test_a_shipped_agent_does_what_its_result_says(name):
+    line = evaluated(f"policy=shipped:{name}", "dialogues=500", "batch=500")
+    result = read_result(shipped.SHIPPED / name)
+    assert result.replicas == 1
+    # five standard errors of a difference of two rates
+    assert line["success_rate"] == pytest.approx(result.success_rate, abs=0.11)
+    assert line["mode"] == result.policy
+
+
+def test_a_key_of_the_environment_changes_the_runs_own():
+    line = evaluated("policy=shipped:dqn_before", "env.max_turn=2", "dialogues=20", "batch=20")
+    assert (line["env"], line["turns"]) == ("domain_ext", 2)
+    chosen = evaluated("policy=shipped:dqn_before", "env=full", "dialogues=20", "batch=20")
+    assert chosen["env"] == "full"
+
+
+def test_the_six_agents_of_the_papers_human_evaluation_are_shipped():
+    found = {name: read_result(shipped.SHIPPED / name) for name in shipped.shipped_agents()}
+    given = {"": (150, "full"), "_before": (40, "domain_ext"), "_after": (200, "domain_ext")}
+    assert {name: (result.rounds, result.env) for name, result in found.items()} == {
+        f"{agent}{when}": given[when] for agent in ("bbqn_map", "dqn") for when in given
+    }
+
+
+def test_an_agent_of_before_the_extension_knows_the_essential_slots_alone():
+    def known(name):
+        env = load_run(name)[0]
+        return {env.domain.slots[slot] for slot in env.active_slots.nonzero().flatten().tolist()}
+
+    domain = load_run("shipped:dqn")[0].domain
+    assert known("shipped:dqn_before") == set(domain.essential)
+    assert known("shipped:dqn_after") == {*domain.essential, *domain.extension_order}
+
+
+def test_shipped_agents_are_small_files_without_a_path_of_a_machine():
+    files = [file for file in shipped.SHIPPED.rglob("*") if file.is_file()]
+    assert sum(file.stat().st_size for file in files) < 3_000_000
+    for name in shipped.shipped_agents():
+        config = yaml.safe_load((shipped.SHIPPED / name / "config.yaml").read_text())
+        assert config["domain"].get("path") is None
+        assert (shipped.SHIPPED / name / "overrides.yaml").is_file()
+
+
+def test_what_is_shipped_is_one_replica_of_the_run(finished, tmp_path, monkeypatch):
+    monkeypatch.setattr(shipped, "SHIPPED", tmp_path)
+    ship_agent.ship(finished, tmp_path / "second", replica=1)
+    env, policy, config, mode = load_run("shipped:second", dialogues=4)
+    assert (config.replicas, mode, env.batch_size) == (1, "mean", torch.Size([1, 4]))
+    whole_env, whole, _, _ = load_run(finished, dialogues=4)
+    rows = whole_env.reset()
+    with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
+        expected = whole(rows.clone())["action_value"][1:]
+        found = policy(rows[1:].clone())["action_value"]
+    assert torch.allclose(found, expected, atol=0.02)
+    assert not torch.allclose(found, whole(rows.clone())["action_value"][:1], atol=0.02)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"replica": 2}, "replica must be from 0 to 1, got 2"),
+        ({"run": "nowhere"}, "nowhere is not a run folder"),
+    ],
+)
+def test_what_cannot_be_shipped_is_refused(finished, tmp_path, change, message):
+    given = {"run": finished, "target": tmp_path / "new", **change}
+    given["run"] = tmp_path / given["run"]
+    with pytest.raises(ValueError, match=message):
+        ship_agent.ship(**given)
+    assert not (tmp_path / "new").exists()

@@ -1,0 +1,186 @@
+"""A run folder: no code is run from it, one process writes it, and what is wrong is a sentence."""
+
+from __future__ import annotations
+
+import fcntl
+import json
+import math
+import os
+import platform
+import struct
+
+import forked
+import pytest
+from planted import plant, rewritten
+
+import train
+from bbq_torchrl import evaluate
+from bbq_torchrl.options import ConfigError
+from bbq_torchrl.run_folder import LOCK, PROCESS, write_text
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.folders import run_lock
+from bbq_torchrl.runs.job import REFUSED
+from bbq_torchrl.runs.resume import is_finished, load_config, run_config
+from bbq_torchrl.runs.train import run
+from bbq_torchrl.trainers import NonFiniteWeightsError
+
+from .trusted import DQN, state_of
+
+pytestmark = pytest.mark.usefixtures("without_curves")
+
+
+def refused(main, *arguments, cwd):
+    """Runs a command line that is refused. Returns its one line."""
+    out, err = forked.call(main, *arguments, cwd=cwd, code=REFUSED)
+    assert not out
+    assert err.startswith("error: ")
+    assert err.count("\n") == 1
+    return err
+
+
+def test_neither_evaluate_nor_resume_runs_what_is_planted(copy, kept, tmp_path):
+    folder = copy(kept)
+    for archive in (folder / "checkpoint").iterdir():
+        plant(archive, tmp_path / "marker", "other.pickle")
+
+    for main, arguments in (
+        (evaluate.main, (f"policy={folder}", "dialogues=2")),
+        (train.main, (f"resume={folder}", "protocol.rounds=5")),
+    ):
+        assert "every checkpoint in" in refused(main, *arguments, cwd=tmp_path)
+    assert not (tmp_path / "marker").exists()
+
+
+@pytest.mark.parametrize(
+    "name", [".config.yaml.new", ".metrics.csv.new", "train.log", ".lock", "checkpoint", ".hydra"]
+)
+def test_a_run_is_not_resumed_through_a_link(copy, kept, tmp_path, name):
+    folder, victim = copy(kept), tmp_path / "victim"
+    (folder / name).rename(victim) if (folder / name).is_dir() else victim.write_text("mine\n")
+    (folder / name).unlink(missing_ok=True)
+    (folder / name).symlink_to(victim)
+    before = state_of(tmp_path)
+
+    line = refused(train.main, f"resume={folder}", "protocol.rounds=5", cwd=tmp_path)
+
+    assert f"{name} is a symbolic link" in line
+    assert state_of(tmp_path) == before
+
+
+def test_a_file_is_not_written_through_a_link_in_the_place_of_its_temporary_name(tmp_path):
+    victim = tmp_path / "victim"
+    victim.write_text("mine")
+    (tmp_path / ".config.yaml.new").symlink_to(victim)
+
+    write_text(tmp_path / "config.yaml", "seed: 0")
+
+    assert victim.read_text() == "mine"
+    assert not (tmp_path / "config.yaml").is_symlink()
+    assert (tmp_path / "config.yaml").read_text() == "seed: 0"
+
+
+@pytest.mark.parametrize("last", [math.nan, math.inf])
+def test_weights_that_are_not_finite_are_not_evaluated(copy, kept, tmp_path, last):
+    folder = copy(kept)
+    value = struct.pack("<f", last)
+
+    def spoil(members):
+        for name, content in members.items():
+            if "-loss/" in name and name.endswith(".memmap"):
+                members[name] = content[:-4] + value
+
+    for archive in (folder / "checkpoint").iterdir():
+        rewritten(archive, spoil)
+
+    line = refused(evaluate.main, f"policy={folder}", "dialogues=2", cwd=tmp_path)
+
+    assert f"{folder} has weights that are NaN or infinite (" in line
+
+
+def test_a_run_whose_last_step_spoils_the_weights_reports_no_result(tmp_path):
+    def spoil(trainer, rows):
+        if trainer.rounds_done == trainer.rounds:
+            next(trainer.policy.parameters()).data.flatten()[0] = math.nan
+
+    with pytest.raises(NonFiniteWeightsError, match="NaN or infinite"):
+        run(compose(DQN), tmp_path / "run", [spoil])
+    assert not (tmp_path / "run" / "result.json").exists()
+
+
+def test_an_evaluation_leaves_a_run_folder_as_it_is(copy, kept, capsys):
+    folder = copy(kept)
+    stage = folder / "checkpoint" / f".round-000004.torchrl.stage-{'0a' * 16}"
+    stage.mkdir()
+    (stage / "part").write_text("what a living process is just saving")
+    before = state_of(folder)
+
+    assert evaluate.main([f"policy={folder}", "dialogues=2"]) == 0
+
+    assert state_of(folder) == before
+
+
+def test_after_the_end_the_weights_are_left_and_evaluate_as_before(kept, finished, capsys):
+    assert [path.name for path in (finished / "checkpoint").iterdir()] == ["round-000003.torchrl"]
+    answers = []
+    for folder in (kept, finished):
+        assert evaluate.main([f"policy={folder}", "dialogues=20"]) == 0
+        answers.append(json.loads(capsys.readouterr().out))
+    for key in ("success_rate", "reward", "turns"):
+        assert answers[0][key] == answers[1][key]
+
+
+def test_a_run_of_which_the_weights_are_left_is_not_extended_and_stays_finished(
+    copy, finished, tmp_path
+):
+    folder = copy(finished)
+    before = state_of(folder)
+
+    assert "is finished (3 rounds)" in refused(train.main, f"resume={folder}", cwd=tmp_path)
+    line = refused(train.main, f"resume={folder}", "protocol.rounds=5", cwd=tmp_path)
+
+    assert "protocol.keep_checkpoints=last" in line
+    assert state_of(folder) == before
+    assert is_finished(folder, run_config(folder).protocol.rounds)
+
+
+def test_a_second_process_in_a_run_folder_is_refused_until_the_first_has_ended(
+    copy, kept, tmp_path
+):
+    folder = copy(kept)
+    before = state_of(folder)
+
+    with (folder / LOCK).open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)  # of this file alone, as another process would hold it
+        for command in ((f"resume={folder}", "protocol.rounds=5"), (f"hydra.run.dir={folder}",)):
+            line = refused(train.main, *command, cwd=tmp_path)
+            assert "another process is at work in" in line
+        with pytest.raises(ConfigError, match="another process is at work in"):
+            run(load_config(folder / "config.yaml"), folder)
+        assert state_of(folder) == before
+        assert evaluate.main([f"policy={folder}", "dialogues=2"]) == 0
+
+    with run_lock(folder), run_lock(folder):
+        pass
+
+
+def test_a_second_process_is_told_which_one_is_at_work(copy, kept, tmp_path):
+    folder = copy(kept)
+    with run_lock(folder):
+        with run_lock(folder):
+            pass
+        # A child of this process would have its lock.
+        _, line = forked.python(forked.ROOT / "train.py", f"resume={folder}", cwd=tmp_path, code=2)
+        assert f": wait until process {os.getpid()} on {platform.node()} has ended" in line
+    assert not (folder / PROCESS).exists()
+
+
+@pytest.mark.parametrize("note", ["", "x" * 10_000, "7 on \x1b[31mhost\n", "7\n"])
+def test_what_is_no_note_of_a_process_is_not_shown(tmp_path, note):
+    (tmp_path / PROCESS).write_text(note)
+    with (tmp_path / LOCK).open("a") as file:
+        fcntl.flock(file, fcntl.LOCK_EX)
+        with (
+            pytest.raises(ConfigError, match="wait until it has ended, or end it"),
+            run_lock(tmp_path),
+        ):
+            pass

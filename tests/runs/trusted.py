@@ -1,0 +1,32 @@
+"""Tiny runs whose folders are damaged, copied and gone on with."""
+
+from __future__ import annotations
+
+import prepared
+from tiny import TINY
+
+from bbq_torchrl.run_folder import LOCK
+from bbq_torchrl.runs.train import run
+
+DQN = (
+    *TINY,
+    "agent=dqn",
+    "explore=greedy",  # no schedule, which would fall over the share of other rounds
+    "protocol.rounds=3",
+    "protocol.eval_every=0",
+    "protocol.checkpoint_every=10",
+    "protocol.keep_checkpoints=weights",
+)
+
+
+def state_of(folder):
+    return {
+        path.relative_to(folder): (path.stat().st_mtime_ns, path.read_bytes())
+        for path in folder.rglob("*")
+        if path.is_file() and path.name != LOCK
+    }
+
+
+def resumed(folder, *overrides):
+    """Goes on with a run as ``train.py resume=<folder>`` does, in this process."""
+    return run(prepared.resumed(folder, *overrides), folder)
