@@ -5,7 +5,7 @@
 
 The algorithm of Lipton et al. (BBQ-Networks, AAAI 2018), to be read from top to bottom: plain torch
 on our environment, without options, replicas, checkpoints or speed. What it plays and learns is
-what ``python train.py agent=bbqn explore=thompson env=full protocol=quick`` does; the numbers below
+what ``python train.py +experiment=agents/bbqn_map env=full protocol=quick`` does; the numbers below
 are that command's, and the results agree (docs/learning_starts.md).
 """
 

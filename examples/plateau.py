@@ -49,6 +49,7 @@ def spiked_trainer(mean_init: str, std_init: float, seeds: int, folder: Path) ->
     config = compose(
         [
             "agent=bbqn",
+            "explore=thompson",
             f"agent.mean_init={mean_init}",
             f"agent.std_init={std_init}",
             "agent.prior_std=.1",

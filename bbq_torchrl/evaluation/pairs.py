@@ -42,6 +42,9 @@ _OF_DIALOGUES = (
 )
 """Prefixes of the keys that decide which dialogues are seen."""
 
+_FIRST_SCRIPT = {"movie": "rule", "miulab": "rule"}
+"""Domain -> the script that ``spike.policy=null`` finds in it."""
+
 NO_PARTNER = (
     "no replica has a partner (one of the same number in a run of the same seed, number of "
     "replicas and device)"
@@ -109,16 +112,23 @@ def _different_dialogues(one: Group, other: Group) -> list[str]:
 
     A key that one of them lacks, being of another version, is not compared.
     """
-    theirs = other.setting
+    ours, theirs = (_with_script(group.setting) for group in (one, other))
     different = {
         key: (value, theirs[key])
-        for key, value in one.setting.items()
+        for key, value in ours.items()
         if key.startswith(_OF_DIALOGUES) and theirs.get(key, value) != value
     }
     return [
         f"{key} differs ({', '.join(map(str, different[key]))})"
         for key in distinguishing_keys(different)
     ]
+
+
+def _with_script(setting: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns a setting with the script that spikes named, where the run found it by itself."""
+    if "spike.policy" not in setting or setting["spike.policy"] is not None:
+        return {**setting}
+    return {**setting, "spike.policy": _FIRST_SCRIPT.get(str(setting.get("domain.name")))}
 
 
 def _compared(one: Group, other: Group) -> dict[str, tuple[list[float], list[float]]]:

@@ -76,6 +76,15 @@ def test_other_dialogues_and_other_random_numbers_are_not_paired(add, settings, 
     assert (found.pairs, found.differences, found.remark) == (0, {}, remark)
 
 
+def test_a_script_that_a_run_found_by_itself_is_paired_with_the_same_one_given(add):
+    given = {"changes": {"spike.policy": "rule"}}
+    found = {"changes": {"spike.policy": None}}
+    other = {"changes": {"spike.policy": "repair"}}
+    by_itself = add(BAD, **DQN, **found)
+    assert compared(add(GOOD, **given), by_itself).remark == ""
+    assert compared(add(GOOD, **other), by_itself).remark == "spike.policy differs (repair, rule)"
+
+
 @pytest.mark.parametrize(
     ("key", "value", "typed"),
     [("spike.protect", False, "false"), ("protocol.batch_size", 128, "128")],

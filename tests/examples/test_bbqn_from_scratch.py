@@ -114,7 +114,7 @@ def test_learning_brings_values_to_their_targets(example, monkeypatch):
 
 
 def test_the_numbers_are_those_of_the_quick_protocol(example):
-    config = compose(["agent=bbqn", "explore=thompson", "env=full", "protocol=quick"])
+    config = compose(["+experiment=agents/bbqn_map", "env=full", "protocol=quick"])
     agent, protocol = config.agent, config.protocol
     assert example["HIDDEN"] == tuple(agent.hidden)
     numbers = {

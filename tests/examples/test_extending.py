@@ -99,7 +99,7 @@ THOMPSON = "make of explore=thompson must return a policy and a dict of metrics,
     ],
 )
 def test_what_an_option_makes_is_checked(group, make, message, monkeypatch, tmp_path):
-    config = compose(["agent=bbqn", *SHRUNKEN])
+    config = compose(["agent=bbqn", "explore=thompson", *SHRUNKEN])
     monkeypatch.setattr(type(getattr(config, group)), "make", make)
     if group == "env":
         message = f"env=chain must make an environment {message}"
