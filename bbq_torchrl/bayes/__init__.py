@@ -1,4 +1,4 @@
-"""Posteriors of weights, draws from them and their KL, and the layers made of them."""
+"""Weight posteriors, their draws and KL, and the layers built on them."""
 
 from __future__ import annotations
 

@@ -19,31 +19,30 @@ if TYPE_CHECKING:
 class BayesConv2d(BayesLayer):
     """A 2d convolution with a Gaussian over every weight and bias.
 
-    In mode "local" each row has a separate draw of the whole kernel. (Noise for each position
-    of the output, as Kingma, Salimans and Welling have it for dense layers, would be no draw of a
-    kernel: its positions would be independent.)
+    In mode "local" each row has a separate draw of the whole kernel. Separate noise for each output
+    position, as in Kingma, Salimans and Welling's dense layers, would not correspond to a draw of
+    the kernel: the positions would be independent.
 
     Args:
         in_channels: channels of the input.
         out_channels: channels of the output.
-        kernel_size: height and width of the kernel, or one number for both.
+        kernel_size: height and width of the kernel; one number sets both.
 
     Keyword Args:
         stride: as in ``nn.Conv2d``. Defaults to 1.
         padding: as in ``nn.Conv2d``, a number or a pair. Defaults to 0.
-        replicas: R independent convolutions side by side, whose inputs have R as their
-            first dimension, or a shape of them. Defaults to ().
+        replicas: the number R of independent convolutions, or a shape; inputs have it as their
+            leading dimensions. Defaults to ().
         prior_std: standard deviation of the prior, a number, a tensor [*replicas], or "fan_in" for
             √(2/(in_channels · kernel)). Defaults to 0.037.
-        mean_init: "kaiming" (uniform in ±1/√fan_in, what ``nn.Conv2d`` starts with), or "zero".
+        mean_init: "kaiming" (uniform in ±1/√fan_in, as in ``nn.Conv2d``), or "zero".
             Defaults to "kaiming".
-        std_init: standard deviation to start with; None for the prior's. Defaults to 0.03.
+        std_init: initial standard deviation; None for the prior's. Defaults to 0.03.
         device: of the parameters.
         dtype: of the parameters.
 
     Raises:
-        ValueError: for an argument outside of what is listed; when called, for an input that does
-            not fit.
+        ValueError: for an invalid argument or, when called, an input of the wrong shape.
 
     Examples:
         >>> import torch
@@ -83,14 +82,14 @@ class BayesConv2d(BayesLayer):
 
         Args:
             x: inputs, [*replicas, *batch, in_channels, height, width].
-            weights: [*replicas, *rows, P]: the kernel as ``nn.Conv2d`` has it, then the bias.
+            weights: [*replicas, *rows, P]: the kernel as in ``nn.Conv2d``, then the bias.
         """
         lead = weights.shape[:-1]
         rows = as_rows(x, lead, self.in_channels, "height", "width")
         count = prod(lead)
         flat = weights.reshape(count, -1)
         kernel, bias = flat.split([flat.shape[-1] - self.out_channels, self.out_channels], -1)
-        # networks side by side are groups of channels of one convolution
+        # one grouped convolution runs all networks: each is a group of channels
         out = F.conv2d(
             rows.transpose(0, 1).flatten(1, 2),
             kernel.reshape(count * self.out_channels, self.in_channels, *self.kernel_size),
@@ -103,7 +102,7 @@ class BayesConv2d(BayesLayer):
         return out.reshape(*x.shape[:-3], *out.shape[-3:])
 
     def run_local(self, x: Tensor) -> Tensor:
-        """Returns the outputs where each row has a separate kernel."""
+        """Returns the outputs with a separate kernel for each row."""
         rows = x.shape[len(self.replicas) : -3]
         return self.run(x, self.draw_weights(rows))
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor
 
-from bbq_torchrl.bayes.functional import affine, affine_of_own_draws, as_rows
+from bbq_torchrl.bayes.functional import affine, affine_local, as_rows
 from bbq_torchrl.bayes.layers import BayesLayer, LayerSettings
 
 if TYPE_CHECKING:
@@ -20,29 +20,29 @@ if TYPE_CHECKING:
 class BayesGRU(BayesLayer):
     """A layer of gated recurrent units (as ``nn.GRU``) with a Gaussian over every weight and bias.
 
-    One weight draw is used in all steps of a sequence (Fortunato, Blundell, Vinyals, "Bayesian
-    Recurrent Neural Networks", 2017). In mode "local" the pre-activations of one step are drawn
-    for each row, which is exactly a weight draw for each row; over several steps it is not, as
-    they would not share their weights, and it is refused.
+    All steps of a sequence share one weight draw (Fortunato, Blundell, Vinyals, "Bayesian
+    Recurrent Neural Networks", 2017). Mode "local" draws the pre-activations of each row, which is
+    equivalent to a separate weight draw for each row. It accepts a single step only, because
+    several steps would not share their weights.
 
     Args:
         input_size: features of the input.
         hidden_size: features of the state.
 
     Keyword Args:
-        replicas: R independent layers side by side, whose inputs have R as their
-            first dimension, or a shape of them. Defaults to ().
+        replicas: the number R of independent layers, or a shape; inputs have it as their
+            leading dimensions. Defaults to ().
         prior_std: standard deviation of the prior, a number, a tensor [*replicas], or "fan_in" for
             √(2/input_size) and √(2/hidden_size). Defaults to 0.037.
-        mean_init: "kaiming" (uniform in ±1/√hidden_size, what ``nn.GRU`` starts with), or "zero".
+        mean_init: "kaiming" (uniform in ±1/√hidden_size, as in ``nn.GRU``), or "zero".
             Defaults to "kaiming".
-        std_init: standard deviation to start with; None for the prior's. Defaults to 0.03.
+        std_init: initial standard deviation; None for the prior's. Defaults to 0.03.
         device: of the parameters.
         dtype: of the parameters.
 
     Raises:
-        ValueError: for an argument outside of what is listed; when called, for shapes that do not
-            fit, or mode "local" for more than one step.
+        ValueError: for an invalid argument or, when called, for wrong shapes or mode "local" with
+            more than one step.
 
     Examples:
         >>> import torch
@@ -84,14 +84,14 @@ class BayesGRU(BayesLayer):
         """Returns the outputs and the last state.
 
         Args:
-            x: a sequence [*replicas, *batch, time, input_size]; where a state is given, also one
-                step [*replicas, *batch, input_size].
-            state: [*replicas, *batch, hidden_size]; None for 0.
+            x: a sequence [*replicas, *batch, time, input_size] or, with a state, one step
+                [*replicas, *batch, input_size].
+            state: [*replicas, *batch, hidden_size]; None for zeros.
             mode: as in :meth:`BayesLayer.forward`.
             weights: as in :meth:`BayesLayer.forward`.
 
         Returns:
-            the outputs, shaped as x with hidden_size features, and the state after the last step,
+            the outputs, shaped like x with hidden_size features, and the state after the last step,
             [*replicas, *batch, hidden_size].
         """
         is_step = state is not None and state.ndim == x.ndim
@@ -107,10 +107,10 @@ class BayesGRU(BayesLayer):
         ):
             raise ValueError(
                 f"input must have shape [*replicas, *batch, time, {self.input_size}] and "
-                f"state [*replicas, *batch, {self.hidden_size}] (or one step of input beside a "
+                f"state [*replicas, *batch, {self.hidden_size}] (or one step of input with a "
                 f"state), got {list(x.shape)} and {list(state.shape)}"
             )
-        # both as one tensor: what BayesLayer hands on to run and run_local
+        # one tensor, because BayesLayer passes a single input to run and run_local
         both = torch.cat([steps.flatten(-2), state], -1)
         outputs = super().forward(both, mode, weights)
         outputs = outputs.unflatten(-1, (steps.shape[-2], self.hidden_size))
@@ -131,7 +131,7 @@ class BayesGRU(BayesLayer):
             )
         steps, state = self._split(as_rows(x, lead, x.shape[-1]))
         from_input, from_state = self._matrices(weights.reshape(prod(lead), -1))
-        # all steps' inputs in one product
+        # one matrix product for the inputs of all steps
         gates = affine(steps.flatten(1, 2), *from_input).unflatten(1, steps.shape[1:3])
         states = []
         for gate in gates.unbind(2):
@@ -140,20 +140,20 @@ class BayesGRU(BayesLayer):
         return torch.cat(states, -1).reshape(*x.shape[:-1], len(states) * self.hidden_size)
 
     def run_local(self, x: Tensor) -> Tensor:
-        """Returns the state after one step by local reparameterization, where it is exact."""
+        """Returns the state after one step by local reparameterization."""
         count = prod(self.replicas)
         steps, state = self._split(as_rows(x, self.replicas, x.shape[-1]))
         if steps.shape[2] != 1:
             raise ValueError(
-                f'BayesGRU in mode "local" takes one step, got {steps.shape[2]}: independent '
-                "noise for each step is no draw of weights that the steps share; use mode "
-                '"draw", or give each row weights of its own by draw_weights(rows); in '
-                "ThompsonSampling shared=True or per='episode'"
+                f'BayesGRU in mode "local" takes one step, got {steps.shape[2]}: with '
+                "independent noise in each step the steps would not share their weights; use mode "
+                '"draw", or pass separate weights for each row from draw_weights(rows); in '
+                "ThompsonSampling use shared=True or per='episode'"
             )
         means = self._matrices(self.posterior.mu.reshape(count, -1))
         variances = self._matrices(self.posterior.sigma.square().reshape(count, -1))
         inputs = steps[:, :, 0], state
-        from_input, from_state = map(affine_of_own_draws, inputs, means, variances)
+        from_input, from_state = map(affine_local, inputs, means, variances)
         return _next_state(from_input, from_state, state).reshape(*x.shape[:-1], self.hidden_size)
 
     def _split(self, x: Tensor) -> tuple[Tensor, Tensor]:
@@ -162,7 +162,7 @@ class BayesGRU(BayesLayer):
         return steps.unflatten(-1, (-1, self.input_size)), state
 
     def _matrices(self, flat: Tensor) -> list[tuple[Tensor, Tensor]]:
-        """Returns matrix [count, in, 3 · hidden] and bias of the inputs and of the state."""
+        """Returns the matrices [count, in, 3 · hidden] and biases for the inputs and the state."""
         found = []
         sizes = (self.input_size, self.hidden_size)
         for part, inputs in zip(flat.split(self.posterior.group_sizes, -1), sizes, strict=True):
@@ -177,7 +177,7 @@ class BayesGRU(BayesLayer):
 
 
 def _next_state(from_input: Tensor, from_state: Tensor, state: Tensor) -> Tensor:
-    """Returns the state after a step, of pre-activations [*, 3 · hidden] in torch's order."""
+    """Returns the next state from pre-activations [*, 3 · hidden] in torch's gate order."""
     reset, update, new = from_input.chunk(3, -1)
     reset_state, update_state, new_state = from_state.chunk(3, -1)
     update = torch.sigmoid(update + update_state)

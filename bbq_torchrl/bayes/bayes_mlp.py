@@ -19,9 +19,9 @@ if TYPE_CHECKING:
 class BayesMLP(BayesLayer):
     """A ReLU network with a Gaussian over every weight and bias (Blundell et al. 2015).
 
-    The paper's start is μ = 0, σ = prior_std (``mean_init="zero", std_init=None``): an agent that
-    knows nothing acts uniformly. From there few loops learn; the defaults start as any network
-    does, with little noise.
+    The paper starts from the prior, μ = 0 and σ = prior_std (``mean_init="zero", std_init=None``),
+    where an untrained agent acts uniformly. Training from there often fails. By default the means
+    start like the weights of an ordinary network, with little noise.
 
     Args:
         in_features: size of the input.
@@ -29,21 +29,21 @@ class BayesMLP(BayesLayer):
         hidden: sizes of the hidden layers. Defaults to (256, 256).
 
     Keyword Args:
-        replicas: R independent networks side by side, whose inputs have R as their
-            first dimension, or a shape of them. Defaults to (), one network.
-        prior_std: standard deviation of the prior, or "fan_in" for √(2/inputs) a layer. It
-            decides how much is explored: under the prior Q has a variance of v₁ = p²(‖x‖² + 1),
-            v_{l+1} = p²(n_l v_l / 2 + 1). A tensor [*replicas] gives each network its own.
+        replicas: the number R of independent networks, or a shape; inputs have it as their
+            leading dimensions. Defaults to (), one network.
+        prior_std: standard deviation of the prior, or "fan_in" for √(2/inputs) in each layer. It
+            sets the amount of exploration: under the prior the variance of Q is v₁ = p²(‖x‖² + 1),
+            v_{l+1} = p²(n_l v_l / 2 + 1). A tensor [*replicas] sets it for each network.
             Defaults to 0.037.
-        mean_init: "kaiming" (uniform in ±1/√inputs, what ``nn.Linear`` starts with), or "zero", the
-            paper's. Defaults to "kaiming".
-        std_init: standard deviation to start with, a number or a tensor [*replicas]; None, the
-            paper's, for the prior's. Defaults to 0.03.
+        mean_init: "kaiming" (uniform in ±1/√inputs, as in ``nn.Linear``), or "zero", as in the
+            paper. Defaults to "kaiming".
+        std_init: initial standard deviation, a number or a tensor [*replicas]; None, as in the
+            paper, for the prior's. Defaults to 0.03.
         device: of the parameters.
         dtype: of the parameters.
 
     Raises:
-        ValueError: for an argument outside of what is listed.
+        ValueError: for an invalid argument.
 
     Examples:
         >>> import torch
@@ -51,8 +51,8 @@ class BayesMLP(BayesLayer):
         >>> net = BayesMLP(268, 39, replicas=5, prior_std="fan_in")
         >>> net(torch.ones(5, 32, 268), "draw").shape
         torch.Size([5, 32, 39])
-        >>> paper = BayesMLP(268, 39, mean_init="zero", std_init=None)  # the prior
-        >>> paper(torch.ones(32, 268)).abs().max()  # the mean, outside of any context
+        >>> paper = BayesMLP(268, 39, mean_init="zero", std_init=None)  # starts at the prior
+        >>> paper(torch.ones(32, 268)).abs().max()  # the mean network, outside of any context
         tensor(0., grad_fn=...)
     """
 
@@ -69,7 +69,7 @@ class BayesMLP(BayesLayer):
         super().__init__(self.layout.layer_sizes, fan_in, **settings)
 
     def init_means_(self) -> None:
-        """Draws the means like ``nn.Linear``'s weights: uniform in ±1/√inputs."""
+        """Draws the means like the weights of ``nn.Linear``: uniform in ±1/√inputs."""
         init_linear_(self.posterior.mu, self.layout)
 
     def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
@@ -108,16 +108,16 @@ class BayesLinear(BayesMLP):
         out_features: size of the output.
 
     Keyword Args:
-        replicas: as in :class:`BayesMLP`, like the other ones.
+        replicas: as in :class:`BayesMLP`.
         prior_std: standard deviation of the prior, or "fan_in" for √(2/in_features). Defaults to
             0.037.
         mean_init: "kaiming" or "zero". Defaults to "kaiming".
-        std_init: standard deviation to start with; None for the prior's. Defaults to 0.03.
+        std_init: initial standard deviation; None for the prior's. Defaults to 0.03.
         device: of the parameters.
         dtype: of the parameters.
 
     Raises:
-        ValueError: for an argument outside of what is listed.
+        ValueError: for an invalid argument.
 
     Examples:
         >>> import torch

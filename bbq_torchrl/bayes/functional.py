@@ -1,10 +1,10 @@
 """Multi-layer perceptrons on one flat weight vector, with hand-written gradients.
 
 A network's weights are one vector [*replicas, P] = (W₁, b₁, W₂, b₂, …), W_l of shape
-[inputs, outputs]. One vector means one draw, one KL, one optimizer entry and one gradient
-buffer for the whole network; the layers are views of it. The gradient of all layers is written
-into one vector by matrix products with ``out=``: autograd's own way (a slice per layer) would
-fill a vector of zeros for each layer and add them up.
+[inputs, outputs]. So the whole network needs one draw, one KL, one optimizer entry and one gradient
+buffer; the layers are views of the vector. Matrix products with ``out=`` write the gradients of all
+layers into one vector. Autograd, which slices the vector for each layer, would instead fill a
+vector of zeros for each layer and add them up.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import torch
 
-from bbq_torchrl.bayes.noise import fill_kept_, is_transformed
+from bbq_torchrl.bayes.noise import fill_dropout_mask_, is_transformed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -28,18 +28,18 @@ _relu_backward = torch.ops.aten.threshold_backward.grad_input
 
 
 def once_differentiable(backward: Callable[..., Result]) -> Callable[..., Result]:
-    """Refuses to have a gradient written by hand differentiated again; a decorator.
+    """Decorates a hand-written backward pass to raise an error if it is differentiated again.
 
-    torch's own decorator lets the second derivative vanish without a word where the gradient that
-    comes in is a constant, such as that of a sum.
+    torch's decorator silently returns a second derivative of zero where the incoming gradient is a
+    constant, such as that of a sum.
     """
 
     @wraps(backward)
     def checked(*args: Any) -> Result:
         if torch.is_grad_enabled():
             raise RuntimeError(
-                "this gradient is written by hand and has no graph, as create_graph=True asks for: "
-                "take second derivatives by torch.func"
+                "this hand-written gradient cannot build a graph, as create_graph=True requires: "
+                "take second derivatives with torch.func"
             )
         return backward(*args)
 
@@ -99,12 +99,12 @@ def init_linear_(flat: Tensor, layout: FlatLayout) -> None:
 
 
 class _FlatMLP(torch.autograd.Function):
-    """x [L, M, in] with flat [*lead, P] to [L, M, out]."""
+    """Maps x [L, M, in] and flat [*lead, P] to [L, M, out]."""
 
     @staticmethod
     def forward(ctx: Any, x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float) -> Tensor:
         out, inputs, matrices = run_layers(x, flat, layout, dropout)
-        # of the first layer only if the input wants a gradient
+        # the first layer's matrix is needed only for the gradient of the input
         needed = matrices if ctx.needs_input_grad[0] else matrices[1:]
         ctx.save_for_backward(*inputs, *needed)
         ctx.layout, ctx.dropout, ctx.shape = layout, dropout, flat.shape
@@ -114,7 +114,7 @@ class _FlatMLP(torch.autograd.Function):
     @once_differentiable
     def backward(ctx: Any, grad: Tensor) -> tuple[Tensor | None, Tensor | None, None, None]:
         depth = len(ctx.layout.shapes)
-        saved = ctx.saved_tensors  # once: under activation checkpointing a second time is an error
+        saved = ctx.saved_tensors  # read once: activation checkpointing forbids a second read
         inputs, matrices = saved[:depth], saved[depth:]
         grad_flat = grad.new_empty(ctx.shape)
         grads = ctx.layout.unflatten(grad_flat.view(-1, ctx.layout.numel))
@@ -124,7 +124,7 @@ class _FlatMLP(torch.autograd.Function):
                 grad = grad * _dropout_scale(ctx.dropout)
             torch.bmm(inputs[k].mT, grad, out=grads[k][0])
             if k > 0:
-                # a unit that is 0 after ReLU and dropout passes nothing back
+                # a unit that is 0 after ReLU and dropout passes no gradient back
                 below = torch.bmm(grad, matrices[k - depth].mT)
                 grad = _relu_backward(below, inputs[k], 0, grad_input=below)
         grad_x = torch.bmm(grad, matrices[0].mT) if ctx.needs_input_grad[0] else None
@@ -134,30 +134,31 @@ class _FlatMLP(torch.autograd.Function):
 def run_layers(
     x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float = 0.0
 ) -> tuple[Tensor, list[Tensor], list[Tensor]]:
-    """Returns the outputs, the input of each layer (units dropped), and the matrices.
+    """Returns the outputs, the input of each layer after dropout, and the matrices.
 
     Args:
         x: inputs, shape [L, M, in].
         flat: weights, shape [*lead, P].
         layout: the layers.
-        dropout: probability with which a hidden unit is dropped.
+        dropout: probability of dropping a hidden unit.
     """
     layers = layout.unflatten(flat.reshape(-1, layout.numel))
     widths = layout.sizes[1:-1]
-    kept: Sequence[Tensor] = ()
+    masks: Sequence[Tensor] = ()
     if dropout > 0 and widths:
-        kept = fill_kept_(x.new_empty((*x.shape[:-1], sum(widths))), dropout).split(widths, -1)
+        mask = fill_dropout_mask_(x.new_empty((*x.shape[:-1], sum(widths))), dropout)
+        masks = mask.split(widths, -1)
     scale = _dropout_scale(dropout)
     inputs, out = [x], affine(x, *layers[0])
     for k, (matrix, bias) in enumerate(layers[1:]):
         hidden = out.relu_()
-        inputs.append(hidden * kept[k] if kept else hidden)
+        inputs.append(hidden * masks[k] if masks else hidden)
         out = affine(inputs[-1], matrix, bias, scale)
     return out, inputs, [matrix for matrix, _ in layers]
 
 
 def _dropout_scale(dropout: float) -> float:
-    """Returns what the units that are left are multiplied by, to keep their sum's mean."""
+    """Returns the factor of the remaining units that preserves the mean of their sum."""
     return 1 / (1 - dropout)
 
 
@@ -166,17 +167,15 @@ def affine(x: Tensor, matrix: Tensor, bias: Tensor, scale: float = 1.0) -> Tenso
     return torch.baddbmm(bias.unsqueeze(-2), x, matrix, alpha=scale)
 
 
-def affine_of_own_draws(
-    x: Tensor, mean: tuple[Tensor, Tensor], variance: tuple[Tensor, Tensor]
-) -> Tensor:
-    """Returns x W + b where each row has a separate draw of W and b, shape [L, M, out].
+def affine_local(x: Tensor, mean: tuple[Tensor, Tensor], variance: tuple[Tensor, Tensor]) -> Tensor:
+    """Returns x W + b with a separate draw of W and b for each row, shape [L, M, out].
 
     Args:
         x: inputs, shape [L, M, in].
-        mean: of W [L, in, out] and of b [L, out].
-        variance: of the same.
+        mean: means of W [L, in, out] and b [L, out].
+        variance: variances of W and b, in the same shapes.
     """
-    # keeps √'s gradient finite where no input is active and σ has underflowed
+    # keeps the gradient of √ finite where no input is active and σ has underflowed
     tiny = torch.finfo(x.dtype).tiny
     std = affine(x.square(), *variance).clamp_min(tiny).sqrt()
     return torch.addcmul(affine(x, *mean), std, torch.randn_like(std))
@@ -187,11 +186,12 @@ def as_rows(x: Tensor, lead: Sequence[int], *features: int | str, name: str = "i
 
     Args:
         x: the tensor.
-        lead: its first dimensions.
-        features: its last ones; those behind the first may be any, and have a name.
+        lead: the expected leading dimensions.
+        features: the expected last dimensions: the size of the first, and the names of the others,
+            whose sizes are free.
 
     Keyword Args:
-        name: of the tensor, for the message.
+        name: the tensor's name in the error message.
 
     Raises:
         ValueError: if the shape of ``x`` does not fit.
@@ -208,9 +208,9 @@ def mlp(x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float = 0.0) -> Te
 
     Args:
         x: inputs, shape [*lead, *rows, in].
-        flat: weights, shape [*lead, P]: a network for each element of lead.
+        flat: weights, shape [*lead, P], one network for each element of lead.
         layout: the layers.
-        dropout: probability with which a hidden unit is dropped; 0 draws nothing.
+        dropout: probability of dropping a hidden unit; 0 draws no random numbers.
 
     Raises:
         ValueError: if the shape of ``x`` does not fit.
@@ -226,7 +226,7 @@ def mlp(x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float = 0.0) -> Te
         torch.is_grad_enabled()
         and (flat.requires_grad or rows.requires_grad)
         and not is_transformed()
-        and not torch._C._is_any_autocast_enabled()  # layers would have other dtypes
+        and not torch._C._is_any_autocast_enabled()  # it would give the layers other dtypes
     ):
         out: Tensor = _FlatMLP.apply(rows, flat, layout, dropout)
     else:
@@ -238,8 +238,8 @@ def mlp_local(x: Tensor, mu: Tensor, sigma: Tensor, layout: FlatLayout) -> Tenso
     """Returns the outputs [*replicas, *rows, out] by local reparameterization.
 
     Each row sees Gaussian pre-activations with the mean and variance that independent Gaussian
-    weights give it (Kingma, Salimans, Welling 2015): exactly a weight draw of its own for each
-    row, as long as a row stands for one input.
+    weights give it (Kingma, Salimans, Welling 2015). That is equivalent to a separate weight draw
+    for each row, as long as a row is a single input.
 
     Args:
         x: inputs, shape [*replicas, *rows, in].
@@ -254,5 +254,5 @@ def mlp_local(x: Tensor, mu: Tensor, sigma: Tensor, layout: FlatLayout) -> Tenso
     means = layout.unflatten(mu.reshape(-1, layout.numel))
     variances = layout.unflatten(sigma.square().reshape(-1, layout.numel))
     for k, (mean, variance) in enumerate(zip(means, variances, strict=True)):
-        hidden = affine_of_own_draws(hidden.relu() if k > 0 else hidden, mean, variance)
+        hidden = affine_local(hidden.relu() if k > 0 else hidden, mean, variance)
     return hidden.reshape(*x.shape[:-1], layout.sizes[-1])

@@ -27,7 +27,7 @@ MeanInit = Literal["zero", "kaiming"]
 
 
 class LayerSettings(TypedDict, total=False):
-    """The keywords of every layer; :class:`BayesLayer` has meanings and defaults."""
+    """Keyword arguments of every layer; see :class:`BayesLayer` for meanings and defaults."""
 
     replicas: int | Sequence[int]
     prior_std: float | Tensor | Literal["fan_in"]
@@ -38,28 +38,27 @@ class LayerSettings(TypedDict, total=False):
 
 
 class BayesLayer(nn.Module):
-    """A layer whose weights have a Gaussian posterior; a subclass says what it does with weights.
+    """The base class of layers whose weights have a Gaussian posterior.
 
-    A subclass calls this constructor and implements :meth:`run`; where independent draws for
-    each row can be had without a batch of weights, also :meth:`run_local`, which Thompson sampling
-    of every step then uses. Mode, given weights,
-    noise and KL are then the same for it as for the layers of this package. (A module that only
-    holds a :class:`GaussianPosterior` and calls its ``weights()`` follows a
-    :func:`weight_scope` too.)
+    A subclass calls this constructor and implements :meth:`run`. If it can draw independently for
+    each row without a batch of weights, it also implements :meth:`run_local`, which Thompson
+    sampling at every step then uses. It inherits modes, given weights, noise and KL. (A module that
+    contains a :class:`GaussianPosterior` and calls its ``weights()`` follows a
+    :func:`weight_scope` as well.)
 
     Args:
-        group_sizes: how many weights each group has; P is their sum.
-        fan_in: how many inputs a unit of each group has: its scale for "fan_in" and "kaiming".
+        group_sizes: the number of weights in each group; P is their sum.
+        fan_in: the number of inputs of a unit in each group, the scale of "fan_in" and "kaiming".
 
     Keyword Args:
-        replicas: R independent layers side by side, whose inputs have R as their
-            first dimension, or a shape of them. Defaults to (), one layer.
+        replicas: the number R of independent layers, or a shape; inputs have it as their
+            leading dimensions. Defaults to (), one layer.
         prior_std: standard deviation of the prior, a number, a tensor [*replicas], or "fan_in" for
-            √(2/fan_in) a group. Defaults to 0.037.
-        mean_init: "kaiming" (uniform in ±1/√fan_in, what torch's layers start with), or "zero", the
-            paper's. Defaults to "kaiming".
-        std_init: standard deviation to start with, a number or a tensor [*replicas]; None, the
-            paper's, for the prior's. Defaults to 0.03.
+            √(2/fan_in) in each group. Defaults to 0.037.
+        mean_init: "kaiming" (uniform in ±1/√fan_in, as in torch's layers), or "zero", as in the
+            paper. Defaults to "kaiming".
+        std_init: initial standard deviation, a number or a tensor [*replicas]; None, as in the
+            paper, for the prior's. Defaults to 0.03.
         device: of the parameters.
         dtype: of the parameters.
 
@@ -67,7 +66,7 @@ class BayesLayer(nn.Module):
         posterior: the :class:`GaussianPosterior` of the weights.
 
     Raises:
-        ValueError: for an argument outside of what is listed.
+        ValueError: for an invalid argument.
 
     Examples:
         >>> import torch
@@ -121,7 +120,7 @@ class BayesLayer(nn.Module):
         return self.posterior.replicas
 
     def reset_parameters(self) -> None:
-        """Sets the parameters to the start that ``mean_init`` and ``std_init`` describe."""
+        """Initializes the parameters as ``mean_init`` and ``std_init`` say."""
         self.posterior.reset_parameters()
         if self.mean_init == "kaiming":
             self.init_means_()
@@ -136,7 +135,7 @@ class BayesLayer(nn.Module):
             part.uniform_(-1 / sqrt(inputs), 1 / sqrt(inputs))
 
     def draw_weights(self, rows: Sequence[int] = ()) -> Tensor:
-        """Returns draws of all weights, [*replicas, *rows, P], to hand to :meth:`forward`."""
+        """Returns draws of all weights, [*replicas, *rows, P], for :meth:`forward`."""
         scope = current_scope()
         return self.posterior.sample(rows, noise=scope.noise, sigma=scope.sigma)
 
@@ -145,20 +144,20 @@ class BayesLayer(nn.Module):
 
         Args:
             x: inputs, [*replicas, *batch, *features].
-            weights: [*replicas, *rows, P] where rows are the first dimensions of batch: each of
-                these rows has separate weights.
+            weights: [*replicas, *rows, P], where rows are the first dimensions of batch: separate
+                weights for each of these rows.
         """
         raise NotImplementedError
 
     def run_local(self, x: Tensor) -> Tensor:
-        """Returns the outputs where each row has separate weights, without drawing them all.
+        """Returns the outputs with separate weights for each row, without drawing them all.
 
         Raises:
-            ValueError: as long as a subclass does not implement it.
+            ValueError: unless a subclass implements it.
         """
         raise ValueError(
-            f'{type(self).__name__} has no local reparameterization: use mode "draw", or give '
-            "each row weights of its own by draw_weights(rows)"
+            f'{type(self).__name__} has no local reparameterization: use mode "draw", or pass '
+            "separate weights for each row from draw_weights(rows)"
         )
 
     def forward(
@@ -169,13 +168,13 @@ class BayesLayer(nn.Module):
         Args:
             x: inputs, shape [*replicas, *batch, *features].
             mode: "draw" (one weight draw of each replica for the whole call),
-                "local" (a separate draw for each row), "mean", or None for what
-                :func:`~bbq_torchrl.bayes.scope.resolve_weight_mode` says.
-            weights: weights to use instead, [*replicas, *rows, P] where rows are the first
-                dimensions of batch: each of these rows then has separate weights.
+                "local" (a separate draw for each row), "mean", or None, which
+                :func:`~bbq_torchrl.bayes.scope.resolve_weight_mode` resolves.
+            weights: weights to use instead, [*replicas, *rows, P], where rows are the first
+                dimensions of batch: separate weights for each of these rows.
 
         Raises:
-            ValueError: for another mode, or a shape that does not fit.
+            ValueError: for an unknown mode or a wrong shape.
         """
         mode, scope = resolve_weight_mode(mode), current_scope()
         if weights is None and mode == "local":
@@ -187,16 +186,14 @@ class BayesLayer(nn.Module):
         return self.run(x, self.posterior.weights(mode) if weights is None else weights)
 
 
-def own_weights_of_rows(
-    module: nn.Module, batch: torch.Size
-) -> AbstractContextManager[WeightScope]:
-    """Returns a scope in which each row of a batch has separate weights.
+def local_weight_scope(module: nn.Module, batch: torch.Size) -> AbstractContextManager[WeightScope]:
+    """Returns a weight scope with separate weights for each row of a batch.
 
-    By local reparameterization, or, of a posterior whose layer has none, by a draw for each row.
+    Layers use local reparameterization; posteriors whose layer lacks it are drawn for each row.
 
     Args:
-        module: what is called within it.
-        batch: the shape [*replicas, *rows].
+        module: the module to be called within the scope.
+        batch: the batch shape, [*replicas, *rows].
     """
     parts = list(module.modules())
     local = {

@@ -1,10 +1,10 @@
-"""The noise of weight draws: fast normal numbers, a pool of them, and noise shared by passes.
+"""The noise of weight draws: a fast normal generator, a noise pool, and noise shared by passes.
 
-A weight draw a mini-batch needs as many normal numbers as the network has weights (145 k for
-268-256-256-39), and torch's generator on a CPU makes them one by one: .5 ms, as much as all
-matrix products of the update. A draw here takes one seed from torch's generator (so that
-``torch.manual_seed`` and saved generator states cover it), lets NumPy's SFC64 fill a block of
-random bits, and looks up 16 of them a number in a table of the normal distribution.
+The weight draw of a mini-batch needs one normal number per weight (145 k for 268-256-256-39).
+torch's generator makes them one by one on a CPU, in 0.5 ms, as much as all matrix products of the
+update take. Here a draw takes one seed from torch's generator, so that ``torch.manual_seed`` and
+saved generator states cover it. NumPy's SFC64 then fills a block with random bits, and every 16
+bits index a table of the normal distribution.
 """
 
 from __future__ import annotations
@@ -21,30 +21,29 @@ from bbq_torchrl.checks import at_least, check
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_LEVELS = 2**16  # 16 random bits a number
-_WORTHWHILE = 2**13  # below this many numbers torch's own generator is as fast
+_LEVELS = 2**16  # 16 random bits per number
+_MIN_COUNT = 2**13  # below this count torch's generator is as fast
 _DRAWS = 8
-_PLACES = 512  # drawn at a time: one random number alone costs as much as hundreds
+_OFFSETS = 512  # drawn at once: a single random number costs as much as hundreds
 
 
 def is_transformed() -> bool:
-    """Returns whether torch.compile traces the caller, or a transform of torch.func runs it.
+    """Returns whether torch.compile traces the caller, or a torch.func transform runs it.
 
-    What fills memory by hand, or has a gradient written by hand, has to leave the work to torch's
-    own operations there.
+    In-place fills and hand-written gradients must then leave the work to torch's operations.
     """
-    # A custom Function with a setup_context could run under torch.func itself. Outside of it each
-    # apply then binds its arguments by inspect.signature, and what is saved has to be an output:
-    # for draw, network and loss together that makes an update of BBQN-MAP 8 % slower.
+    # A custom Function with a setup_context could run under torch.func. Outside of it, however,
+    # each apply would bind its arguments by inspect.signature and could only save outputs. With
+    # draw, network and loss written that way, an update of BBQN-MAP is 8 % slower.
     return torch.compiler.is_compiling() or bool(torch._C._are_functorch_transforms_active())
 
 
 @cache
 def _table() -> Tensor:
-    """Returns 65,536 equally likely values that stand for N(0, 1), float32.
+    """Returns 65,536 equally likely values that approximate N(0, 1), float32.
 
-    Each one is the root mean square of its 1/65,536 share of the distribution, so that the mean
-    is 0 and the variance 1; the fourth moment is 2.9999 (of 3), the greatest value 4.39.
+    Each is the root mean square of its 1/65,536 share of the distribution, so the mean is 0 and
+    the variance 1. The fourth moment is 2.9999 (exact: 3), and the largest value is 4.39.
     """
     edge = torch.special.ndtri(torch.arange(_LEVELS // 2 + 1, dtype=torch.double) / _LEVELS)
     # the mean of z² between a and b is 1 + (a φ(a) - b φ(b)) / (Φ(b) - Φ(a))
@@ -57,8 +56,8 @@ def _table() -> Tensor:
 def fill_normal_(out: Tensor) -> Tensor:
     """Fills ``out`` with standard normal numbers in place and returns it.
 
-    On a CPU, in float32 and for more than a few thousand numbers these are drawn from 65,536
-    equally likely values with mean 0 and variance 1, none beyond 4.39; else by ``normal_``.
+    On a CPU, in float32 and from a few thousand numbers on, they are drawn from 65,536 equally
+    likely values with mean 0, variance 1 and no magnitude above 4.39; otherwise by ``normal_``.
 
     Args:
         out: any shape.
@@ -73,7 +72,7 @@ def fill_normal_(out: Tensor) -> Tensor:
     if (
         out.device.type != "cpu"
         or out.dtype != torch.float32
-        or count < _WORTHWHILE
+        or count < _MIN_COUNT
         or not out.is_contiguous()
     ):
         return out.normal_()
@@ -84,19 +83,19 @@ def fill_normal_(out: Tensor) -> Tensor:
     return out
 
 
-def fill_kept_(out: Tensor, dropout: float) -> Tensor:
-    """Fills ``out`` with 1 with probability 1 - dropout, else 0, in place and returns it.
+def fill_dropout_mask_(out: Tensor, dropout: float) -> Tensor:
+    """Fills ``out`` in place with 1 (probability 1 - dropout) or 0 and returns it.
 
-    16 random bits decide on a number, four numbers to one of torch's generator, which makes a
-    uniform float for each in four times the time; so dropout is rounded to a multiple of 2⁻¹⁶.
+    Each element takes 16 random bits, a quarter of one number of torch's generator; a uniform float
+    for each would take four times as long. So dropout is rounded to a multiple of 2⁻¹⁶.
 
     Args:
         out: any shape.
-        dropout: from 0 to below 1.
+        dropout: the dropout probability, in [0, 1).
 
     Examples:
         >>> import torch
-        >>> bool(abs(fill_kept_(torch.empty(5, 100_000), 0.2).mean() - 0.8) < 0.01)
+        >>> bool(abs(fill_dropout_mask_(torch.empty(5, 100_000), 0.2).mean() - 0.8) < 0.01)
         True
     """
     if is_transformed():
@@ -108,8 +107,8 @@ def fill_kept_(out: Tensor, dropout: float) -> Tensor:
     return torch.ge(uniform, least, out=out)
 
 
-class Drawn(Protocol):
-    """A posterior that weights are drawn from, as far as its noise is concerned."""
+class NoisyPosterior(Protocol):
+    """The members of a posterior that a noise source uses."""
 
     @property
     def mu(self) -> Tensor:
@@ -122,30 +121,31 @@ class Drawn(Protocol):
 class NoiseSource(Protocol):
     """The noise of weight draws, as :func:`weight_scope` takes it."""
 
-    def normal(self, posterior: Drawn, shape: torch.Size) -> Tensor:
+    def normal(self, posterior: NoisyPosterior, shape: torch.Size) -> Tensor:
         """Returns standard normal numbers for a draw from the posterior.
 
         Args:
-            posterior: draws are from it.
-            shape: of the draw, [*replicas, *rows, P].
+            posterior: the posterior drawn from.
+            shape: the shape of the draw, [*replicas, *rows, P].
         """
 
 
 class NoisePool:
-    """Noise for many batches: each draw takes a window of numbers that are made once.
+    """A noise pool for many batches: each draw takes a window of numbers generated once.
 
-    Normal numbers for all weights are a good part of a Bayes-by-Backprop update on a CPU. Here
-    every replica of a network has a separate pool, ``draws`` times as many numbers as it has
-    weights, made at the first draw from torch's global generator; the noise of a draw is a window
-    of it at a random place (the noise table of Salimans et al. 2017, "Evolution Strategies as a
-    Scalable Alternative to Reinforcement Learning"). Each draw is of independent standard normal
-    numbers; two draws may share some of them, at different weights. Networks share none.
+    Normal numbers for all weights take a large part of a Bayes-by-Backprop update on a CPU. Here
+    every replica of a network has a separate pool of ``draws`` times as many numbers as it has
+    weights, filled at the first draw from torch's global generator. The noise of a draw is a window
+    of the pool at a random offset (the noise table of Salimans et al. 2017, "Evolution Strategies
+    as a Scalable Alternative to Reinforcement Learning"). The numbers of a draw are independent and
+    standard normal. Two draws may share some of them, at different weights. Networks share no
+    numbers.
 
-    Draws with more dimensions than the replicas (one for each episode, say) have new noise, and so
-    have draws on devices other than the CPU, where noise costs little.
+    Draws with more dimensions than the replicas (such as one for each episode) get new noise, as do
+    draws on devices other than the CPU, where noise costs little.
 
     Args:
-        draws: size of a pool, in draws. Defaults to 8.
+        draws: the size of a pool, in draws. Defaults to 8.
 
     Raises:
         ValueError: if ``draws`` is less than 2.
@@ -163,10 +163,10 @@ class NoisePool:
     def __init__(self, draws: int = _DRAWS) -> None:
         check("draws", draws, at_least(2))
         self.draws = draws
-        # numbers, and places that were drawn for windows to come
-        self._pools: dict[Drawn, tuple[Tensor, list[int]]] = {}
+        # the numbers, and offsets of the next windows
+        self._pools: dict[NoisyPosterior, tuple[Tensor, list[int]]] = {}
 
-    def normal(self, posterior: Drawn, shape: torch.Size) -> Tensor:
+    def normal(self, posterior: NoisyPosterior, shape: torch.Size) -> Tensor:
         """Returns the noise of a draw: a window of the pool, or new noise; see the class."""
         mu = posterior.mu
         if shape != mu.shape or mu.device.type != "cpu" or is_transformed():
@@ -175,24 +175,24 @@ class NoisePool:
         if posterior not in self._pools:
             numbers = fill_normal_(mu.new_empty((*shape[:-1], self.draws * count)))
             self._pools[posterior] = (numbers, [])
-        numbers, places = self._pools[posterior]
-        if not places:
-            places += torch.randint((self.draws - 1) * count + 1, (_PLACES,)).tolist()
-        return numbers.narrow(-1, places.pop(), count)
+        numbers, offsets = self._pools[posterior]
+        if not offsets:
+            offsets += torch.randint((self.draws - 1) * count + 1, (_OFFSETS,)).tolist()
+        return numbers.narrow(-1, offsets.pop(), count)
 
 
 class SharedNoise:
     """The same noise for the weight draws of several passes.
 
-    The n-th draw from a posterior with this source has the noise of the n-th draw with the source
-    that it was made :meth:`again` of: with other parameters μ', ρ' in place the weights there are
-    μ' + σ'·ε with the very ε of the first ones. The noise is kept for as long as the object lives.
+    A source returned by :meth:`again` replays the noise: its n-th draw from a posterior has the
+    noise ε of the n-th draw with the original. With other parameters μ', ρ' the weights are then
+    μ' + σ'·ε with the same ε. The noise is stored for the lifetime of the object.
 
     Args:
-        source: where noise that no draw has used comes from. Defaults to None, torch's generator.
+        source: the source of new noise. Defaults to None, torch's generator.
 
     Raises:
-        ValueError: at a draw whose shape is not that of the noise it is to share.
+        ValueError: at a draw whose shape differs from that of the shared noise.
 
     Examples:
         >>> import torch
@@ -209,16 +209,16 @@ class SharedNoise:
 
     def __init__(self, source: NoiseSource | None = None) -> None:
         self._source = source
-        self._drawn: dict[Drawn, list[Tensor]] = {}
-        self._used: dict[Drawn, int] = {}
+        self._drawn: dict[NoisyPosterior, list[Tensor]] = {}
+        self._used: dict[NoisyPosterior, int] = {}
 
     def again(self) -> SharedNoise:
-        """Returns a source that begins with the first noise again and shares what follows."""
+        """Returns a source that replays the noise from the first draw on and shares new noise."""
         other = SharedNoise(self._source)
         other._drawn = self._drawn
         return other
 
-    def normal(self, posterior: Drawn, shape: torch.Size) -> Tensor:
+    def normal(self, posterior: NoisyPosterior, shape: torch.Size) -> Tensor:
         """Returns the noise of the next draw."""
         drawn = self._drawn.setdefault(posterior, [])
         number = self._used.get(posterior, 0)

@@ -1,4 +1,4 @@
-"""The factorized Gaussian over a network's weights, its draws and its KL divergence."""
+"""The factorized Gaussian posterior over a network's weights, its draws and its KL."""
 
 from __future__ import annotations
 
@@ -27,30 +27,30 @@ def inverse_softplus(std: Tensor) -> Tensor:
 class GaussianPosterior(nn.Module):
     r"""q(w) = N(μ, softplus(ρ)²) for P independent weights, prior N(0, p²) (BBQ-Networks, 2018).
 
-    All weights lie in one vector, so that a draw, its KL and their gradients are a few passes
-    over it; both gradients are written by hand (closed KL, after Blundell et al. 2015) and σ is
-    computed once for the two. Where σ = p and μ = 0 the closed KL has a gradient of exactly 0,
-    so that weights which no data reach stay bitwise at the prior under any optimizer.
+    All weights are one vector, so a draw, its KL and their gradients are a few passes over it.
+    Both gradients are hand-written (the closed KL, after Blundell et al. 2015) and share one
+    computation of σ. Where σ = p and μ = 0, the gradient of the closed KL is exactly 0, so weights
+    that no data reach stay bitwise at the prior under any optimizer.
 
     Args:
-        group_sizes: how many weights each group (for an MLP: layer) has; P is their sum.
-        prior_std: standard deviation of the prior: one number, a sequence with one for each
-            group, or a tensor [*replicas] with one for each replica.
+        group_sizes: the number of weights in each group (in an MLP: layer); P is their sum.
+        prior_std: standard deviation of the prior: one number, a sequence [groups], or a tensor
+            [*replicas].
 
     Keyword Args:
-        replicas: leading shape; an independent posterior for each. Defaults to ().
-        device: of the parameters.
-        dtype: of the parameters, a floating one.
+        replicas: leading shape of independent posteriors. Defaults to ().
+        device: device of the parameters.
+        dtype: floating-point dtype of the parameters.
 
     Attributes:
-        mu: parameter [*replicas, P], 0 at first.
-        rho: parameter [*replicas, P], softplus(rho) = prior_std at first.
-        prior_rho: buffer [1], [groups] or [*replicas, 1], softplus(prior_rho) = prior_std. Kept in
-            the place of prior_std so that σ meets the prior's in any dtype.
+        mu: parameter [*replicas, P], initially 0.
+        rho: parameter [*replicas, P], initially softplus(rho) = prior_std.
+        prior_rho: buffer [1], [groups] or [*replicas, 1], softplus(prior_rho) = prior_std. Stored
+            instead of prior_std so that σ equals the prior's in any dtype.
 
     Raises:
-        ValueError: if a prior_std is not a positive finite number, or there are not as many as
-            there are groups or replicas.
+        ValueError: if a prior_std is not positive and finite, or their number is not that of the
+            groups or replicas.
 
     Examples:
         >>> import torch
@@ -85,7 +85,7 @@ class GaussianPosterior(nn.Module):
         self.reset_parameters()
 
     def _prior(self, prior_std: float | Sequence[float] | Tensor) -> Tensor:
-        """Returns the prior's checked std, float64 [1], [groups] or [*replicas, 1]."""
+        """Returns the checked prior std, float64 [1], [groups] or [*replicas, 1]."""
         groups = prior_std if isinstance(prior_std, Sequence) else [prior_std]
         if len(groups) not in (1, len(self.group_sizes)):
             raise ValueError(
@@ -107,14 +107,14 @@ class GaussianPosterior(nn.Module):
             self.rho.copy_(self.per_weight(self.prior_rho))
 
     def reset_std_(self, std: float | Tensor) -> None:
-        """Sets every standard deviation to ``std``, one number or one a replica, [*replicas]."""
+        """Sets every standard deviation to ``std``, one number or a tensor [*replicas]."""
         with torch.no_grad():
             self.rho.copy_(
                 inverse_softplus(self._std("std_init", std, self.replicas)).unsqueeze(-1)
             )
 
     def per_weight(self, per_group: Tensor) -> Tensor:
-        """Returns values per group as values per weight: [groups] as [P], [*, 1] as it is."""
+        """Expands values per group to values per weight: [groups] to [P]; [*, 1] is unchanged."""
         if per_group.shape[-1] == 1:
             return per_group
         parts = zip(per_group.unbind(), self.group_sizes, strict=True)
@@ -122,7 +122,7 @@ class GaussianPosterior(nn.Module):
 
     @property
     def prior_std(self) -> Tensor:
-        """Standard deviation of the prior: [1] if one for all, [*replicas, 1], or [P]."""
+        """Standard deviation of the prior: [1] (shared by all weights), [*replicas, 1], or [P]."""
         return self.per_weight(F.softplus(self.prior_rho))
 
     @property
@@ -145,14 +145,14 @@ class GaussianPosterior(nn.Module):
     def weights(self, mode: WeightMode | None = None) -> Tensor:
         """Returns the weights for a layer to use, [*replicas, *rows, P].
 
-        Those that the :func:`weight_scope` around the call gives to this posterior, else a draw
-        or the mean, whose KL goes into the scope's sum if it has one.
+        These are the weights that the surrounding :func:`weight_scope` sets for this posterior,
+        otherwise a draw or the mean. The KL is added to the scope's sum if it has one.
 
         Args:
-            mode: "draw", "mean", or None for what :func:`resolve_weight_mode` says.
+            mode: "draw", "mean", or None, which :func:`resolve_weight_mode` resolves.
 
         Raises:
-            ValueError: for another mode, "local" too.
+            ValueError: for any other mode, including "local".
         """
         scope = current_scope()
         given = scope.weights.get(self)
@@ -162,7 +162,7 @@ class GaussianPosterior(nn.Module):
         if mode == "local":
             raise ValueError(
                 'mode "local" needs a layer with local reparameterization: use mode "draw" or '
-                "give the weights"
+                "set the weights"
             )
         if mode == "mean":
             if scope.kl is not None:
@@ -190,20 +190,20 @@ class GaussianPosterior(nn.Module):
         Differentiable in mu and, without a cache of σ, in rho.
 
         Args:
-            rows: a shape; () for one draw a replica.
+            rows: the shape of the draws; () for one draw per replica.
 
         Keyword Args:
             noise: the source of the noise. Defaults to None: torch's generator.
-            sigma: a cache of standard deviations by posterior. Defaults to None: they are computed.
+            sigma: a cache of standard deviations by posterior. Defaults to None, no cache.
         """
-        whole = torch.Size((*self.replicas, *rows, self.mu.shape[-1]))
-        drawn = self.new_noise(whole) if noise is None else noise.normal(self, whole)
-        shape = (*self.replicas, *(1 for _ in rows), whole[-1])
+        full = torch.Size((*self.replicas, *rows, self.mu.shape[-1]))
+        drawn = self.new_noise(full) if noise is None else noise.normal(self, full)
+        shape = (*self.replicas, *(1 for _ in rows), full[-1])
         std = self._std_of_draw(sigma)
         return torch.addcmul(self.mu.reshape(shape), std.reshape(shape), drawn)
 
     def _std_of_draw(self, cache: dict[Hashable, Tensor] | None) -> Tensor:
-        """Returns the standard deviations; with a cache its own, without a gradient."""
+        """Returns the standard deviations; cached ones have no gradient."""
         if cache is None:
             return self.sigma
         if self not in cache:
@@ -216,12 +216,12 @@ class GaussianPosterior(nn.Module):
 
         Args:
             draws: shape [*replicas, *rows, P].
-            where: bool [*replicas, *rows], True for the ones to replace.
+            where: bool [*replicas, *rows], True for the draws to replace.
         """
         count = self.mu.shape[-1]
         flat, mu, rho = (t.view(-1, count) for t in (draws, self.mu, self.rho))
-        # New noise for all rows would cost a batch of networks for the few rows that begin
-        # something, so this is the one place whose amount of work follows the data.
+        # New noise for all rows would cost a batch of networks for the few rows that need it, so
+        # here the amount of work depends on the data.
         which = where.flatten().nonzero().squeeze(-1)
         replica = which // max(1, flat.shape[0] // mu.shape[0])
         noise = flat.new_empty((which.shape[0], count))
@@ -239,15 +239,15 @@ class GaussianPosterior(nn.Module):
 
         Args:
             kind: "closed", Σ log(p/σ) + (σ² + μ²)/(2p²) - ½, or "sampled", log q(w) - log p(w)
-                at the draw, as the paper has it.
-            known_kl: an earlier value of the closed KL, [*replicas], to be returned in the place of
-                today's; its gradient is today's all the same. Defaults to None.
+                at the draw, as in the paper.
+            known_kl: an earlier value of the closed KL, [*replicas], to return instead of the
+                current one; the gradient is the current one's. Defaults to None.
 
         Keyword Args:
             noise: the source of the noise. Defaults to None: torch's generator.
 
         Raises:
-            ValueError: for any other string, or a known KL of another kind than "closed".
+            ValueError: for an unknown kind, or a known KL with kind="sampled".
         """
         check("kl", kind, KL_KIND)
         if known_kl is not None and kind != "closed":
@@ -257,7 +257,7 @@ class GaussianPosterior(nn.Module):
             drawn = noise.normal(self, self.mu.shape)
         elif is_transformed():
             drawn = self.new_noise(self.mu.shape)
-        else:  # filled a part at a time, along with the draw
+        else:  # filled in parts, along with the draw
             drawn, fill_noise_ = self.mu.new_empty(self.mu.shape), self.fill_noise_
         return draw_with_kl(self.mu, self.rho, self.prior_std, kind, drawn, fill_noise_, known_kl)
 
@@ -266,17 +266,17 @@ class GaussianPosterior(nn.Module):
         return closed_kl(self.mu, self.rho, self.prior_std)
 
     def add_kl(self, total: KLSum) -> None:
-        """Adds the closed KL to a sum, unless the posterior is in it already.
+        """Adds the closed KL to a sum, unless the sum includes this posterior already.
 
         Raises:
-            ValueError: if the sum is one of sampled KLs.
+            ValueError: if the sum is of sampled KLs.
         """
         if self in total:
             return
         if total.kind == "sampled":
             raise ValueError(
                 'kl="sampled" needs weight draws by GaussianPosterior.weights() in mode '
-                f'"draw", and there was none of {self}: use kl="closed"'
+                f'"draw", but {self} was not drawn from: use kl="closed"'
             )
         total.add(self, self.kl())
 
@@ -289,7 +289,7 @@ def posteriors(module: nn.Module) -> list[GaussianPosterior]:
     """Returns all posteriors in ``module``, in the order of its modules.
 
     Raises:
-        ValueError: if there are none.
+        ValueError: if the module has no posterior.
 
     Examples:
         >>> from torch import nn
@@ -303,16 +303,16 @@ def posteriors(module: nn.Module) -> list[GaussianPosterior]:
         raise ValueError(
             f"{type(module).__name__} has no Bayesian layer: weight draws, their KL and Thompson "
             "sampling need a network with Bayesian layers (BayesMLP, BayesLinear, or any module "
-            "that holds a GaussianPosterior)"
+            "that contains a GaussianPosterior)"
         )
     return found
 
 
 def kl_divergence(module: nn.Module) -> Tensor:
-    """Returns the closed KL from the prior over all posteriors in ``module``, [*replicas].
+    """Returns the closed KL from the prior, summed over the module's posteriors, [*replicas].
 
     Raises:
-        ValueError: if the module has none.
+        ValueError: if the module has no posterior.
 
     Examples:
         >>> from bbq_torchrl.bayes import BayesMLP

@@ -1,4 +1,4 @@
-"""Replicas, independent networks in one: their shape, and numbers for each of them."""
+"""Replicas (independent networks in one module): their shape, and settings per replica."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 
 def replica_shape(replicas: SupportsIndex | Sequence[int]) -> torch.Size:
-    """Returns the leading shape that replicas give to weights and data: 5 is (5,).
+    """Returns the leading shape of weights and data for a number or shape of replicas.
 
     Raises:
         ValueError: if a number is not positive.
@@ -35,12 +35,12 @@ def replica_shape(replicas: SupportsIndex | Sequence[int]) -> torch.Size:
 
 
 def replicas_of(network: nn.Module) -> torch.Size:
-    """Returns the replica dimension that the layers of a network have in common, () if none.
+    """Returns the replica shape that the layers of a network share, () if no layer has one.
 
-    Those that have one say so by an attribute ``replicas``: a shape, or a number.
+    A layer's replica shape is its attribute ``replicas``, a shape or a number.
 
     Raises:
-        ValueError: if they differ, or one is neither.
+        ValueError: if layers differ, or an attribute is neither.
 
     Examples:
         >>> network = torch.nn.Identity()
@@ -51,7 +51,7 @@ def replicas_of(network: nn.Module) -> torch.Size:
     shapes = set()
     for module in network.modules():
         found = getattr(module, "replicas", None)
-        if found is None or callable(found):  # a module or method of that name says something else
+        if found is None or callable(found):  # a module or method of that name is unrelated
             continue
         sizes = found if isinstance(found, (tuple, list)) else (found,)
         if not all(isinstance(size, int) for size in sizes):
@@ -60,9 +60,7 @@ def replicas_of(network: nn.Module) -> torch.Size:
             )
         shapes.add(replica_shape(sizes))
     if len(shapes) > 1:
-        raise ValueError(
-            f"the network's layers must have one replica dimension in common, got {shapes}"
-        )
+        raise ValueError(f"the network's layers must share one replica shape, got {shapes}")
     return shapes.pop() if shapes else torch.Size(())
 
 
@@ -72,18 +70,18 @@ def checked_number(
     replicas: Sequence[int] = (),
     allowed: Allowed = ABOVE_ZERO,
 ) -> float | Tensor:
-    """Returns a number as it is, and one for each replica as float64 [*replicas]; both checked.
+    """Returns a checked number, or checked numbers per replica as float64 [*replicas].
 
-    In float64, so that results round as they do with one Python number.
+    The dtype is float64 so that results round as they do with one Python number.
 
     Args:
-        name: of the setting, for the message.
-        value: a number, or a tensor or list [*replicas], or a tensor [].
-        replicas: the shape.
-        allowed: the numbers that the setting may have.
+        name: the setting's name in the error message.
+        value: a number, a tensor or list [*replicas], or a tensor [].
+        replicas: the replica shape.
+        allowed: the allowed numbers.
 
     Raises:
-        ValueError: for another shape, or a value that is not allowed.
+        ValueError: for a wrong shape or a value that is not allowed.
 
     Examples:
         >>> checked_number("noise_std", 1.0), checked_number("eta", torch.tensor([1, 2]), (2,))

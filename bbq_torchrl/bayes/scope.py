@@ -1,10 +1,9 @@
-"""The scope that sets the weights of the layers inside of it, their noise and their KL.
+"""The weight scope, which sets the weights, noise and KL of the layers called inside it.
 
-A layer uses the weights that it is called with, else those that the :func:`weight_scope` around the
-call gives it; else the mode that it is called with, that of the scope, or the one that follows from
-the exploration type of TorchRL. So a policy or a loss reaches the layers
-of a network whatever stands around them (``nn.Sequential``, a TensorDict module, a functional call)
-without access to them.
+A layer uses the weights passed to its call, or those of the surrounding :func:`weight_scope`.
+Without either it uses the mode passed to its call, the scope's, or the one that TorchRL's
+exploration type implies. So a policy or a loss controls the layers of a network without access to
+them, whatever wraps them (``nn.Sequential``, a TensorDict module, a functional call).
 """
 
 from __future__ import annotations
@@ -31,19 +30,19 @@ WEIGHT_MODE = one_of(*get_args(WeightMode))
 
 
 class KLSum:
-    """The KL from the prior of every posterior that is used, each counted once.
+    """The sum of the KL from the prior over all posteriors in use, each counted once.
 
     A posterior that draws its weights adds its KL along with the draw and shares σ with it.
 
     Args:
         kind: "closed", or "sampled" (log q(w) - log p(w) at the draw; needs layers that draw
             their weights).
-        cache: values of the closed KL by posterior, kept by the caller from one sum to the next. A
-            posterior that is drawn from and found there reports the cached value with the
-            gradient of today's; one that is not is added. Defaults to None: all are computed.
+        cache: closed KL values by posterior, which the caller passes from one sum to the next. A
+            posterior that is drawn from reports its cached value with the current gradient; a
+            missing value is added. Defaults to None, no cache.
 
     Raises:
-        ValueError: for another kind; at a draw, for a cache of another kind than "closed".
+        ValueError: for an unknown kind; at a draw, for a cache with kind="sampled".
     """
 
     def __init__(
@@ -58,7 +57,7 @@ class KLSum:
         return posterior in self._terms
 
     def add(self, posterior: Hashable, kl: Tensor) -> None:
-        """Adds the KL [*replicas] of a posterior that is not in the sum yet."""
+        """Adds the KL [*replicas] of a posterior."""
         self._terms[posterior] = kl
 
     def total(self) -> Tensor:
@@ -68,23 +67,22 @@ class KLSum:
             RuntimeError: if no Bayesian layer ran.
         """
         if not self._terms:
-            raise RuntimeError("no Bayesian layer ran inside of the weight_scope with a KL")
+            raise RuntimeError("no Bayesian layer ran inside the weight_scope with a KL")
         first, *others = self._terms.values()
         return sum(others, first)
 
 
 @dataclass(frozen=True)
 class WeightScope:
-    """The settings of a :func:`weight_scope`, as layers read them.
+    """The settings of a :func:`weight_scope` that layers read.
 
     Attributes:
         mode: "draw", "local", "mean", or None to follow the exploration type.
-        weights: weights to use whatever the mode, by posterior.
-        noise: where the noise of weight draws comes from; None for new noise from torch's
-            generator.
-        kl: takes in the KL of the posteriors used, or None.
-        sigma: a cache of standard deviations [*replicas, P] for draws without a KL, by posterior; a
-            posterior that is not found is added, without a gradient. None: computed at each draw.
+        weights: weights by posterior, used in any mode.
+        noise: the noise source of weight draws; None for new noise from torch's generator.
+        kl: the sum that collects the KL of the posteriors in use, or None.
+        sigma: a cache of standard deviations [*replicas, P] by posterior, for draws without a KL.
+            A missing posterior is added, without a gradient. None for no cache.
     """
 
     mode: WeightMode | None = None
@@ -94,21 +92,21 @@ class WeightScope:
     sigma: dict[Hashable, Tensor] | None = None
 
 
-_NOWHERE = WeightScope()
+_NO_SCOPE = WeightScope()
 
 
-class _Here(threading.local):
+class _Local(threading.local):
     def __init__(self) -> None:
-        # of the object, not the class: torch.compile guards on where it finds it
-        self.scope = _NOWHERE
+        # an instance attribute, because torch.compile guards on where it finds it
+        self.scope = _NO_SCOPE
 
 
-_here = _Here()
+_local = _Local()
 
 
 def current_scope() -> WeightScope:
-    """Returns the innermost :func:`weight_scope` of this thread; an empty one outside."""
-    return _here.scope
+    """Returns this thread's innermost :func:`weight_scope`, or an empty one outside of any."""
+    return _local.scope
 
 
 @contextmanager
@@ -120,11 +118,11 @@ def weight_scope(
     kl: KLKind | KLSum | None = None,
     sigma: dict[Hashable, Tensor] | None = None,
 ) -> Iterator[WeightScope]:
-    """Sets the weights of the layers inside of it. What is not given is as outside of it.
+    """Sets the weights of the layers called inside it; omitted settings come from the outer scope.
 
-    - ``"draw"``: one draw of a layer's weights for each of its calls, shared by the call's rows
-      (dropout: a mask). A layer that a network runs twice has two draws, in a loss too; to have
-      one, call it with the weights of one :meth:`BayesLayer.draw_weights`.
+    - ``"draw"``: one weight draw per call of a layer, shared by the rows of the call (dropout: a
+      mask). A layer that a network runs twice draws twice, in a loss too; to draw once, pass it
+      the weights of one :meth:`BayesLayer.draw_weights`.
     - ``"local"``: a separate draw for each row, by local reparameterization where that is exact
       (Kingma, Salimans, Welling 2015).
     - ``"mean"``: the posterior mean (dropout: off).
@@ -133,18 +131,18 @@ def weight_scope(
         mode: one of these, or None.
 
     Keyword Args:
-        weights: for each module with a ``posterior``, or posterior, the flat weights to use
-            whatever the mode, the one that it is called with too; shape [*replicas, *rows, P] as
-            :meth:`BayesLayer.draw_weights` returns them. Others are not affected.
+        weights: flat weights by posterior, or by module with a ``posterior``, of the shape
+            [*replicas, *rows, P] that :meth:`BayesLayer.draw_weights` returns. They are used in any
+            mode, including a mode passed to the call. Other posteriors are not affected.
         noise: a :class:`NoisePool` or :class:`SharedNoise` that draws take their noise from.
-        kl: "closed" or "sampled" to sum up the KL of every layer that runs, each counted once, or a
+        kl: "closed" or "sampled" to sum the KL of every layer that runs, each counted once, or a
             :class:`KLSum`. The total is ``scope.kl.total()``.
         sigma: a cache of standard deviations, see :class:`WeightScope`.
 
     Raises:
-        ValueError: for another mode or kind of KL, or weights of what has no posterior; and when a
-            layer in mode "mean" or "local" runs with kl="sampled": there are no weights to
-            evaluate it at.
+        ValueError: for an unknown mode or kind of KL, or weights for something without a posterior;
+            and when a layer in mode "mean" or "local" runs with kl="sampled", which needs weights
+            to evaluate it at.
 
     Examples:
         >>> import torch
@@ -161,7 +159,7 @@ def weight_scope(
     """
     if mode is not None:
         check("mode", mode, WEIGHT_MODE)
-    outer, given = _here.scope, None
+    outer, given = _local.scope, None
     if weights is not None:
         given = {getattr(module, "posterior", module): own for module, own in weights.items()}
         for posterior in given:
@@ -172,7 +170,7 @@ def weight_scope(
                 )
     if isinstance(kl, str):
         kl = KLSum(kl)
-    _here.scope = WeightScope(
+    _local.scope = WeightScope(
         outer.mode if mode is None else mode,
         outer.weights if given is None else given,
         outer.noise if noise is None else noise,
@@ -180,25 +178,25 @@ def weight_scope(
         outer.sigma if sigma is None else sigma,
     )
     try:
-        yield _here.scope
+        yield _local.scope
     finally:
-        _here.scope = outer
+        _local.scope = outer
 
 
 def resolve_weight_mode(mode: WeightMode | None = None) -> WeightMode:
-    """Returns the mode of a call with this argument.
+    """Returns the mode of a call: the given one, the scope's, or the exploration type's.
 
-    Without an argument and where no :func:`weight_scope` has a mode it follows TorchRL's
-    exploration type: RANDOM is "draw"; DETERMINISTIC, MEAN, MODE and None (outside of any context,
-    as TorchRL's NoisyLinear has it) are "mean".
+    TorchRL's exploration type decides if neither the call nor a :func:`weight_scope` has a mode:
+    RANDOM means "draw"; DETERMINISTIC, MEAN, MODE and None (outside of any context, as for
+    TorchRL's NoisyLinear) mean "mean".
 
     Args:
-        mode: an explicit choice, or None.
+        mode: an explicit mode, or None.
 
     Raises:
-        ValueError: for any other string.
+        ValueError: for an unknown mode.
     """
     if mode is not None:
         check("mode", mode, WEIGHT_MODE)
         return mode
-    return _here.scope.mode or ("draw" if interaction_type() is InteractionType.RANDOM else "mean")
+    return _local.scope.mode or ("draw" if interaction_type() is InteractionType.RANDOM else "mean")

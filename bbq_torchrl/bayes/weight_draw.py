@@ -1,8 +1,8 @@
-"""A draw of all weights of a Gaussian posterior and its KL, with gradients written by hand.
+"""A draw of all weights of a Gaussian posterior and its KL, with hand-written gradients.
 
-Both are a few passes over vectors as long as the network has weights, and memory traffic is what
-they cost: σ is computed once for the two, temporaries are reused, and replicas of a network are
-worked on a cache-sized piece at a time.
+Both are a few passes over vectors with one element per weight, and memory traffic dominates their
+cost. So they share one computation of σ, reuse temporaries, and process the replicas of a network
+in cache-sized pieces.
 """
 
 from __future__ import annotations
@@ -23,16 +23,16 @@ if TYPE_CHECKING:
 KLKind = Literal["closed", "sampled"]
 KL_KIND = one_of(*get_args(KLKind))
 
-# σ/p is not taken to be smaller than this: log and 1/r stay finite where σ underflows, and so
-# does the product of two of them.
+# The lower bound of σ/p: log and 1/r stay finite where σ underflows, and so does the product of
+# two of them.
 _LEAST_RATIO = 1e-18
 
-# σ/p - p/σ counts as zero up to this many machine epsilons: softplus of the very same ρ may
-# differ in the last bits between the vectorized part of a loop and its remainder.
+# σ/p - p/σ counts as zero up to this many machine epsilons: softplus of the same ρ may differ in
+# the last bits between the vectorized part of a loop and its remainder.
 _SAME_STD = 32.0
 
-# How many weights the passes below work on at a time: half a megabyte a vector, so that the
-# handful of vectors of one piece stay in a core's cache however many replicas there are.
+# The number of weights that the passes below process at once: half a megabyte per vector, so that
+# the vectors of a piece stay in a core's cache for any number of replicas.
 _PIECE = 2**17
 
 _softplus = torch.ops.aten.softplus.out
@@ -41,11 +41,11 @@ _hardshrink = torch.ops.aten.hardshrink.out
 
 
 def _pieces(*tensors: Tensor) -> Iterator[Sequence[Tensor]]:
-    """Yields tensors [*replicas, *] a cache-sized part of the replicas at a time (on a CPU).
+    """Yields tensors [*replicas, *] in cache-sized parts of the replicas (on a CPU).
 
-    The first tensor has all weights, [*replicas, P]; where it is small (or not on a CPU) the
-    tensors come as they are, else with the replicas as one dimension. What has none, such as a
-    prior that all replicas share, [1] or [P], comes whole with every part.
+    The first tensor has all weights, [*replicas, P]. If it is small (or not on a CPU), the tensors
+    are yielded unchanged, otherwise with the replicas as one dimension. A tensor without replicas,
+    such as a shared prior [1] or [P], is yielded whole with every part.
     """
     numel = tensors[0].shape[-1]
     count = tensors[0].numel() // numel
@@ -59,7 +59,7 @@ def _pieces(*tensors: Tensor) -> Iterator[Sequence[Tensor]]:
 
 
 class _Draw(torch.autograd.Function):
-    """(μ, ρ, p) to the draw w = μ + softplus(ρ) noise [*replicas, P] and its KL [*replicas]."""
+    """Maps (μ, ρ, p) to a draw w = μ + softplus(ρ) noise [*replicas, P] and its KL [*replicas]."""
 
     @staticmethod
     def forward(
@@ -117,10 +117,10 @@ class _Draw(torch.autograd.Function):
         for r, n, s, x, gw, gm, gr, factor, pull in _pieces(
             rho, noise, ratio, location, grad_weights, grad_mu, grad_rho, scale, scale / prior_std
         ):
-            # d KL/dμ = μ/p²; the sampled log p(w) pulls at w, and so at σ through the noise
+            # d KL/dμ = μ/p²; the sampled log p(w) acts on w, and through the noise on σ
             torch.addcmul(gw, pull, x, out=gm)
             if ctx.kind == "closed":
-                # σ/p - p/σ; addcdiv does the same in one pass that takes three times as long
+                # σ/p - p/σ; addcdiv needs one pass only, but takes three times as long
                 torch.sub(s, torch.reciprocal(s, out=gr), out=gr)
                 _hardshrink(gr, dead_zone, out=gr)
                 gr.mul_(factor).addcmul_(gw, n)
@@ -134,7 +134,7 @@ class _Draw(torch.autograd.Function):
 def _closed_kl_value(mu: Tensor, ratio: Tensor, inverse: Tensor, scratch: Tensor) -> Tensor:
     """Returns ½ Σ (r² - 1) + ½ Σ (μ/p)² - Σ log r with r = σ/p, [*lead]."""
     log = _sum_log(ratio, scratch)
-    # r² - 1 term by term: Σ r² less P would be the rounding of two large numbers near the prior
+    # r² - 1 term by term: near the prior Σ r² - P would cancel two large numbers
     excess = torch.addcmul(ratio.new_full((), -1.0), ratio, ratio, out=scratch).sum(-1)
     return 0.5 * (excess + _sum_square(mu, inverse, scratch)) - log
 
@@ -149,7 +149,7 @@ def _sampled_kl_value(
 
 
 def _sum_log(ratio: Tensor, scratch: Tensor) -> Tensor:
-    """Returns Σ log r over the last dimension, one logarithm for two of them."""
+    """Returns Σ log r over the last dimension, with one logarithm per pair."""
     half = ratio.shape[-1] // 2
     odd = ratio.shape[-1] - 2 * half
     first, second, *rest = ratio.split([half, half, odd] if odd else [half, half], -1)
@@ -171,14 +171,14 @@ def closed_kl(mu: Tensor, rho: Tensor, prior_std: Tensor) -> Tensor:
     Differentiable in mu and rho; arguments as those of :func:`draw_with_kl`.
     """
     ratio = (F.softplus(rho) / prior_std).clamp_min(_LEAST_RATIO)
-    # where σ = p it is 1, without a gradient: see _SAME_STD
+    # 1, without a gradient, where σ = p: see _SAME_STD
     is_same = (ratio - ratio.reciprocal()).abs() <= _SAME_STD * torch.finfo(rho.dtype).eps
     ratio = torch.where(is_same, 1.0, ratio)
     return (0.5 * (ratio.square() - 1 + (mu / prior_std).square()) - ratio.log()).sum(-1)
 
 
 def _sampled_kl(weights: Tensor, noise: Tensor, rho: Tensor, prior_std: Tensor) -> Tensor:
-    """Returns log q(w) - log p(w), [*replicas], by torch's own operations."""
+    """Returns log q(w) - log p(w), [*replicas], by torch's operations."""
     ratio = (F.softplus(rho) / prior_std).clamp_min(_LEAST_RATIO)
     return (0.5 * ((weights / prior_std).square() - noise.square()) - ratio.log()).sum(-1)
 
@@ -199,15 +199,15 @@ def draw_with_kl(
     Args:
         mu: shape [*replicas, P].
         rho: shape [*replicas, P].
-        prior_std: p, shape [1] or [P] where the whole replicas has the same, else [*replicas, 1] or
+        prior_std: p, shape [1] or [P] if all replicas share it, else [*replicas, 1] or
             [*replicas, P].
         kind: "closed", the divergence itself, or "sampled", log q(w) - log p(w) at the draw.
         noise: shape [*replicas, P], contiguous if it is to be filled.
-        fill_noise_: fills a tensor [*, P] with standard normal numbers, called on ``noise`` (a
-            part at a time); None where ``noise`` holds them already.
-        known_kl: shape [*replicas], returned in the place of the closed KL, whose gradient it has
-            all the same: the gradient is the closed KL's own, and computing the value is a good
-            part of the draw. None to compute it.
+        fill_noise_: fills a tensor [*, P] with standard normal numbers; called on ``noise``, in
+            parts. None if ``noise`` contains them already.
+        known_kl: shape [*replicas], returned instead of the value of the closed KL, which takes a
+            large part of the draw to compute; the gradient is still the closed KL's. None to
+            compute it.
     """
     if is_transformed():
         weights = torch.addcmul(mu, F.softplus(rho), noise)

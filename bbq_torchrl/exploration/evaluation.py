@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 
 import torch
 
-from bbq_torchrl.bayes.layers import own_weights_of_rows
+from bbq_torchrl.bayes.layers import local_weight_scope
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
 from bbq_torchrl.checks import at_least, check, one_of
@@ -126,7 +126,7 @@ class EvaluationPolicy(ActorPolicy):
         if self.mode in ("mean", "thompson"):
             is_mean = self.mode == "mean"
             batch = tensordict.batch_size
-            scope = weight_scope("mean") if is_mean else own_weights_of_rows(self.actor, batch)
+            scope = weight_scope("mean") if is_mean else local_weight_scope(self.actor, batch)
             with scope:
                 return self.actor(tensordict)
         found = posteriors(self.actor)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from bbq_torchrl.bayes.layers import own_weights_of_rows
+from bbq_torchrl.bayes.layers import local_weight_scope
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import WeightMode, weight_scope
 from bbq_torchrl.exploration.base import (
@@ -105,7 +105,7 @@ class ThompsonSampling(ActorPolicy):
                 return self.actor(tensordict)
         if self.per == "step":
             batch = tensordict.batch_size
-            scope = weight_scope("draw") if self.shared else own_weights_of_rows(self.actor, batch)
+            scope = weight_scope("draw") if self.shared else local_weight_scope(self.actor, batch)
             with scope:
                 return self.actor(tensordict)
         # the draws outlive the call, and are redrawn in place

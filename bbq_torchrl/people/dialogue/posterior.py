@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 from tensordict import TensorDict
 
 from bbq_torchrl.bayes import GaussianPosterior
-from bbq_torchrl.bayes.layers import own_weights_of_rows
+from bbq_torchrl.bayes.layers import local_weight_scope
 from bbq_torchrl.bayes.scope import weight_scope
 from bbq_torchrl.exploration import EvaluationPolicy, Greedy, MajorityVote
 from bbq_torchrl.networks import BootstrapMLP, FlatMLP
@@ -41,7 +41,7 @@ def q_draws(policy: TensorDictModuleBase, inputs: Tensor, draws: int) -> Tensor 
     ):
         return None
     rows = inputs.expand(*inputs.shape[:-2], draws, inputs.shape[-1])
-    with own_weights_of_rows(policy, rows.shape[:-1]):
+    with local_weight_scope(policy, rows.shape[:-1]):
         return _values(policy, rows)
 
 
