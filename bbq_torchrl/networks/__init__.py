@@ -1,4 +1,4 @@
-"""Q-networks with a dimension of replicas, and actors on them."""
+"""Q-networks with a replica dimension, and actors built on them."""
 
 from __future__ import annotations
 

@@ -16,11 +16,11 @@ if TYPE_CHECKING:
 
 
 class BootstrapMLP(nn.Module):
-    """A ReLU network with K heads, or replicas of it (Osband et al., Bootstrapped DQN, 2016).
+    """A ReLU network with K heads (Osband et al., Bootstrapped DQN, 2016), or replicas of it.
 
-    The heads share the first ``trunk_layers`` hidden layers. Their losses add up, so that a head
-    learns as fast as a network of its own; the gradient that they pass to the trunk is divided
-    by K (section 6.1 of the paper), as is what reaches the input through it.
+    The heads share the first ``trunk_layers`` hidden layers. Their losses are summed, so a head
+    learns as fast as a separate network. The gradient that they pass to the trunk, and through it
+    to the input, is divided by K (section 6.1 of the paper).
 
     Args:
         in_features: size of the input.
@@ -28,27 +28,27 @@ class BootstrapMLP(nn.Module):
         hidden: sizes of the hidden layers. Defaults to (256, 256).
 
     Keyword Args:
-        heads: K. Defaults to 10.
-        replicas: R independent networks of K heads side by side, whose inputs have R as their
-            first dimension, or a shape of them. Defaults to (), one network.
-        trunk_layers: how many hidden layers the heads share; 0 makes K separate networks.
+        heads: the number K of heads. Defaults to 10.
+        replicas: the number R of independent networks of K heads, or a shape; inputs have it as
+            their leading dimensions. Defaults to (), one network.
+        trunk_layers: the number of hidden layers that the heads share; 0 makes K separate networks.
             Defaults to None, all of them.
-        prior_scale: if positive, each head has a fixed network added to it, drawn like the one
-            that learns and multiplied by this number (randomized prior functions, Osband et al.
-            2018): heads then differ where there are no data. Defaults to 0.
+        prior_scale: if positive, the scale of a fixed network added to each head and initialized
+            like the trained one (randomized prior functions, Osband et al. 2018). Heads then differ
+            where data are missing. Defaults to 0.
         device: of the weights.
         dtype: of the weights.
 
     Attributes:
         trunk: parameter [*replicas, P_trunk], None without a trunk.
         heads: parameter [*replicas, K, P_head].
-        prior_trunk: buffer of the trunk's shape, None without a trunk or without a prior.
+        prior_trunk: buffer of the trunk's shape, None without a trunk or a prior.
         prior_heads: buffer of the heads' shape, None without a prior.
-        trunk_layout: where the trunk's weights lie in their vector, None without a trunk.
-        head_layout: of each head.
+        trunk_layout: layout of the trunk's weight vector, None without a trunk.
+        head_layout: layout of each head's weight vector.
 
     Raises:
-        ValueError: for an argument outside of what is listed.
+        ValueError: for an invalid argument.
 
     Examples:
         >>> import torch
@@ -106,7 +106,7 @@ class BootstrapMLP(nn.Module):
         self.reset_parameters()
 
     def reset_parameters(self) -> None:
-        """Draws the weights like ``nn.Linear``: uniform in ±1/√inputs; the priors stay."""
+        """Draws the weights like ``nn.Linear``, uniform in ±1/√inputs; the priors are unchanged."""
         self._init_linear_(self.trunk, self.heads)
 
     def _init_linear_(self, trunk: Tensor | None, heads: Tensor | None) -> None:
@@ -116,7 +116,7 @@ class BootstrapMLP(nn.Module):
             init_linear_(heads, self.head_layout)
 
     def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
-        """Sets the weights of inactive inputs to 0, the priors' too.
+        """Sets the weights of inactive inputs to 0, those of the priors too.
 
         See :class:`bbq_torchrl.protocols.Growing`.
         """
@@ -135,9 +135,9 @@ class BootstrapMLP(nn.Module):
             x: inputs, shape [*replicas, *batch, in].
 
         Raises:
-            ValueError: for a shape that does not fit.
+            ValueError: for a wrong shape.
         """
-        as_rows(x, self.replicas, self.in_features)  # refuses a shape that does not fit
+        as_rows(x, self.replicas, self.in_features)  # checks the shape
         out = self._run(x, self.trunk, self.heads)
         if self.prior_heads is not None:
             prior = self._run(x, self.prior_trunk, self.prior_heads)
@@ -150,7 +150,7 @@ class BootstrapMLP(nn.Module):
         if trunk is not None and self.trunk_layout is not None:
             x = mlp(x, trunk, self.trunk_layout).relu()
             if torch.is_grad_enabled():
-                # the same (finite) numbers, with a K-th of the gradient: those of the heads add up
+                # the same (finite) values with 1/K of the gradient, as the heads' gradients add up
                 x = x.detach() + (x - x.detach()) / self.num_heads
         x = x.unsqueeze(dim).expand(*x.shape[:dim], self.num_heads, *x.shape[dim:])
         return mlp(x, heads, self.head_layout)

@@ -25,9 +25,9 @@ class FlatMLP(nn.Module):
         hidden: sizes of the hidden layers. Defaults to (256, 256).
 
     Keyword Args:
-        replicas: R independent networks side by side, whose inputs have R as their
-            first dimension, or a shape of them. Defaults to (), one network.
-        dropout: probability with which a hidden unit is dropped. Defaults to 0.
+        replicas: the number R of independent networks, or a shape; inputs have it as their
+            leading dimensions. Defaults to (), one network.
+        dropout: probability of dropping a hidden unit. Defaults to 0.
         device: of the parameters.
         dtype: of the parameters.
 
@@ -80,12 +80,12 @@ class FlatMLP(nn.Module):
 
         Args:
             x: inputs, shape [*replicas, *batch, in].
-            mode: "draw" and "local" (dropout on), "mean" (off), or None: what
-                :func:`~bbq_torchrl.bayes.weight_scope` says, and outside of it on in
-                training mode, as ``nn.Dropout``.
+            mode: "draw" or "local" (dropout on), "mean" (off), or None: the mode of the
+                :func:`~bbq_torchrl.bayes.weight_scope`; outside of any, dropout is on in training
+                mode, as for ``nn.Dropout``.
 
         Raises:
-            ValueError: for another mode, or a shape that does not fit.
+            ValueError: for an unknown mode or a wrong shape.
         """
         if mode is not None:
             check("mode", mode, WEIGHT_MODE)

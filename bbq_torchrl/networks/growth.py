@@ -1,9 +1,9 @@
 """Networks whose inputs or outputs come into use later (domain extension).
 
-The paper grows a network when a feature or an action appears. Here it has its full size at once:
-what is inactive is 0 and masked, and its weights start where growth would put them. The two are
-the same as long as nothing moves an inactive weight: its data gradient is 0, and so is the
-gradient of the closed KL at the prior. (A sampled KL moves it.)
+The paper grows a network when a feature or an action appears. Here the network has its full size
+from the start: inactive features are 0, inactive actions are masked, and their weights start where
+growth would put them. The two are equivalent as long as nothing moves an inactive weight. Its data
+gradient is 0, and so is the gradient of the closed KL at the prior. (A sampled KL moves it.)
 """
 
 from __future__ import annotations
@@ -22,28 +22,28 @@ if TYPE_CHECKING:
 def reset_inactive_(
     network: Growing, *, inputs: Tensor | None = None, outputs: Tensor | None = None
 ) -> None:
-    """Starts the weights of inactive inputs and outputs as if they were added only later.
+    """Initializes the weights of inactive inputs and outputs as if they were added later.
 
-    To be called once, before training, on a network of full size: it makes it the same as a
-    network that grows (see above), also where ``mean_init`` or ``std_init`` start the other
-    weights away from the prior.
+    Call it once, before training, on a network of full size. The network is then equivalent to one
+    that grows (see above), even if ``mean_init`` or ``std_init`` start the other weights away from
+    the prior.
 
     Args:
-        network: changed in place. To be called before a loss copies the network, as a target
-            updater leaves the copy of a prior function alone.
+        network: the network, changed in place. Call this before a loss copies the network, because
+            target updaters do not update the copy of a prior function.
 
     Keyword Args:
-        inputs: bool [in_features], True for the inactive ones: their weights become 0, in a
-            Bayesian network the prior's (mean 0, std prior_std), in a noisy one μ and σ both:
-            a feature that appears changes neither the mean nor the noise before it is learned.
-            Those of a prior function become 0 too.
-        outputs: bool [out_features], True for the inactive ones: the prior's in a Bayesian
-            network; a plain or noisy one keeps the start it has (a noisy one tries a new
-            action by the σ that it starts with).
+        inputs: bool [in_features], True for inactive inputs. Their weights become 0 (in a noisy
+            network μ and σ), or those of the prior in a Bayesian network (mean 0, std prior_std).
+            So a new feature changes neither the mean nor the noise before it is learned. The
+            weights of a prior function become 0 too.
+        outputs: bool [out_features], True for inactive outputs. Their weights become the prior's in
+            a Bayesian network. A plain or noisy network keeps its initial weights; a noisy one
+            explores a new action by its initial σ.
 
     Raises:
-        TypeError: if the network lacks what :class:`~bbq_torchrl.protocols.Growing` names.
-        ValueError: if a mask has another shape.
+        TypeError: if the network does not implement :class:`~bbq_torchrl.protocols.Growing`.
+        ValueError: if a mask has the wrong shape.
 
     Examples:
         >>> import torch
@@ -57,8 +57,8 @@ def reset_inactive_(
     if not provides(network, Growing):
         raise TypeError(
             f"{type(network).__name__} cannot start with inactive inputs or outputs: it needs "
-            "in_features, out_features and reset_inactive_(inputs, outputs), as "
-            "bbq_torchrl.protocols.Growing has them"
+            "in_features, out_features and reset_inactive_(inputs, outputs), see "
+            "bbq_torchrl.protocols.Growing"
         )
     network.reset_inactive_(
         _mask("inputs", inputs, network.in_features),
@@ -67,7 +67,7 @@ def reset_inactive_(
 
 
 def _mask(name: str, mask: Tensor | None, size: int) -> Tensor:
-    """Returns the mask, checked; all False for None."""
+    """Returns the checked mask; all False for None."""
     if mask is None:
         return torch.zeros(size, dtype=torch.bool)
     if mask.dtype != torch.bool or mask.shape != (size,):

@@ -1,4 +1,4 @@
-"""NoisyNet's networks on TorchRL's NoisyLinear, with a replica dimension."""
+"""NoisyNet layers and networks on TorchRL's NoisyLinear, with a replica dimension."""
 
 from __future__ import annotations
 
@@ -18,14 +18,15 @@ if TYPE_CHECKING:
 
 
 class ReplicaNoisyLinear(NoisyLinear):
-    """TorchRL's NoisyLinear with a replica dimension and noise that belongs to a call.
+    """TorchRL's NoisyLinear with a replica dimension and new noise in each call.
 
-    Parameters, their names and their start are :class:`~torchrl.modules.NoisyLinear`'s, with the
-    replicas in front: weights μ + σ ∘ (ε_out ⊗ ε_in) and biases μ + σ ∘ ε_out with the factorized
-    noise ε = sgn(z) √|z|, z ~ N(0, 1) (Fortunato et al., Noisy Networks for Exploration, 2018).
-    TorchRL's layer keeps ε in buffers until ``reset_noise``; here each call draws its own from
-    torch's global generator, so that states, copies and frozen targets hold no noise, a call
-    before a backward pass may be followed by others, and ``reset_noise`` has nothing to do.
+    Parameters, their names and initial values are those of :class:`~torchrl.modules.NoisyLinear`,
+    with leading replica dimensions: weights μ + σ ∘ (ε_out ⊗ ε_in) and biases μ + σ ∘ ε_out with
+    the factorized noise ε = sgn(z) √|z|, z ~ N(0, 1) (Fortunato et al., Noisy Networks for
+    Exploration, 2018).
+    TorchRL's layer stores ε in buffers until ``reset_noise``. Here each call draws new noise from
+    torch's global generator. So states, copies and frozen targets contain no noise, other calls may
+    come between a forward and its backward pass, and ``reset_noise`` has nothing to do.
 
     Args:
         in_features: size of the input.
@@ -33,8 +34,8 @@ class ReplicaNoisyLinear(NoisyLinear):
 
     Keyword Args:
         replicas: leading shape of the parameters. Defaults to (), one layer.
-        std_init: σ starts as std_init/√in_features for weights and std_init/√out_features for
-            biases (TorchRL's; the paper divides by √in_features in both). Defaults to 0.5.
+        std_init: initially σ is std_init/√in_features for weights and std_init/√out_features for
+            biases (as in TorchRL; the paper divides both by √in_features). Defaults to 0.5.
         device: of the parameters.
         dtype: of the parameters.
 
@@ -80,7 +81,7 @@ class ReplicaNoisyLinear(NoisyLinear):
         """Does nothing: each call draws new noise."""
 
     def _should_use_noise(self) -> bool:
-        return False  # the attributes weight and bias are the means: noise belongs to a call
+        return False  # weight and bias are the means; each call draws the noise
 
     def _noise(self, *shape: int) -> Tensor:
         """Returns sgn(z) √|z| with z ~ N(0, 1)."""
@@ -91,15 +92,15 @@ class ReplicaNoisyLinear(NoisyLinear):
 
         Args:
             x: inputs, shape [*replicas, *batch, in].
-            mode: "draw" (one noise of each replica for the whole call), "local"
-                (separate noise for each row), "mean" (μ), or None for what
-                :func:`~bbq_torchrl.bayes.scope.resolve_weight_mode` says.
+            mode: "draw" (one noise draw of each replica for the whole call), "local"
+                (separate noise for each row), "mean" (μ), or None, which
+                :func:`~bbq_torchrl.bayes.scope.resolve_weight_mode` resolves.
 
         Raises:
-            ValueError: for another mode, or a shape that does not fit.
+            ValueError: for an unknown mode or a wrong shape.
         """
         mode = resolve_weight_mode(mode)
-        # Features first, as W xᵀ: then the gradient of W comes in the order that W lies in.
+        # W xᵀ, features first, so that the gradient of W has the memory layout of W.
         columns = as_rows(x, self.replicas, self.in_features).mT
         count, _, batch = columns.shape
         weight, weight_sigma, bias, bias_sigma = (
@@ -113,7 +114,7 @@ class ReplicaNoisyLinear(NoisyLinear):
             bias = torch.addcmul(bias, bias_sigma, noise_out)
         out = torch.baddbmm(bias, weight, columns)
         if mode == "local":
-            # Σ_j σ_ij ε_i ε_j x_j + σ_i ε_i = ε_i (Σ_j σ_ij (ε_j x_j) + σ_i), for each row its ε
+            # Σ_j σ_ij ε_i ε_j x_j + σ_i ε_i = ε_i (Σ_j σ_ij (ε_j x_j) + σ_i), with ε of each row
             noise_in = self._noise(count, self.in_features, batch)
             noise_out = self._noise(count, self.out_features, batch)
             spread = torch.baddbmm(bias_sigma, weight_sigma, columns * noise_in)
@@ -126,10 +127,10 @@ class ReplicaNoisyLinear(NoisyLinear):
 
 
 class NoisyMLP(nn.Module):
-    """NoisyNet's ReLU network, or independent replicas of it: all layers are noisy.
+    """A ReLU network whose layers are all noisy (NoisyNet), or independent replicas of it.
 
-    σ is learned along with μ by the loss alone: there is no prior and no KL (compare
-    :class:`~bbq_torchrl.bayes.BayesMLP`).
+    The loss alone trains σ along with μ, without the prior and KL of
+    :class:`~bbq_torchrl.bayes.BayesMLP`.
 
     Args:
         in_features: size of the input.
@@ -137,10 +138,10 @@ class NoisyMLP(nn.Module):
         hidden: sizes of the hidden layers. Defaults to (256, 256).
 
     Keyword Args:
-        replicas: R independent networks side by side, whose inputs have R as their
-            first dimension, or a shape of them. Defaults to (), one network.
-        std_init: scale σ₀ of the standard deviations at first; see
-            :class:`ReplicaNoisyLinear`. Defaults to 0.5 (the paper's and TorchRL's).
+        replicas: the number R of independent networks, or a shape; inputs have it as their
+            leading dimensions. Defaults to (), one network.
+        std_init: scale σ₀ of the initial standard deviations, see :class:`ReplicaNoisyLinear`.
+            Defaults to 0.5, as in the paper and TorchRL.
         device: of the parameters.
         dtype: of the parameters.
 
@@ -188,7 +189,7 @@ class NoisyMLP(nn.Module):
         first.weight_sigma[..., inputs] = 0
 
     def reset_parameters(self) -> None:
-        """Starts again: μ uniform in ±1/√inputs, σ as ``std_init`` says."""
+        """Initializes the layers again: μ uniform in ±1/√inputs, σ by ``std_init``."""
         for layer in noisy_layers(self):
             layer.reset_parameters()
 
@@ -197,10 +198,10 @@ class NoisyMLP(nn.Module):
 
         Args:
             x: inputs, shape [*replicas, *batch, in].
-            mode: "draw" (one noise of each replica for the whole call), "local"
-                (a separate draw for each row: exact, as factorized noise needs no weights
-                for each), "mean" (μ), or None for what
-                :func:`~bbq_torchrl.bayes.scope.resolve_weight_mode` says.
+            mode: "draw" (one noise draw of each replica for the whole call), "local" (a separate
+                draw for each row; exact, as factorized noise needs no weights for each row),
+                "mean" (μ), or None, which
+                :func:`~bbq_torchrl.bayes.scope.resolve_weight_mode` resolves.
 
         Raises:
             ValueError: for another mode, or a shape that does not fit.
@@ -215,12 +216,12 @@ def noisy_layers(module: nn.Module) -> list[ReplicaNoisyLinear]:
     """Returns the noisy layers in ``module``.
 
     Raises:
-        ValueError: if there are none.
+        ValueError: if the module has no noisy layer.
     """
     layers = [m for m in module.modules() if isinstance(m, ReplicaNoisyLinear)]
     if not layers:
         raise ValueError(
-            "NoisyNet needs a network with noisy layers (NoisyMLP, ReplicaNoisyLinear), got one "
-            "without"
+            "NoisyNet needs a network with noisy layers (NoisyMLP, ReplicaNoisyLinear), got "
+            f"{type(module).__name__} without any"
         )
     return layers

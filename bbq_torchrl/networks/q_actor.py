@@ -30,21 +30,21 @@ def q_actor(
     action_key: NestedKey = "action",
     action_value_key: NestedKey = "action_value",
 ) -> QValueActor:
-    """Returns an actor that takes the legal action of greatest value.
+    """Returns an actor that takes the legal action with the highest value.
 
     Args:
         network: maps the observation [*batch, F] to values [*batch, N].
-        spec: of one action, without batch dimensions (``env.action_spec_unbatched``).
+        spec: the spec of one action, without batch dimensions (``env.action_spec_unbatched``).
 
     Keyword Args:
-        in_keys: what the network reads. Defaults to ("observation",).
-        action_mask_key: bool [*batch, N], True for actions that may be taken; None for no mask.
-        action_key: where the action goes: "action", or a nested key that ends in it.
-        action_value_key: where the values go; forbidden actions have the least float there.
+        in_keys: the entries that the network reads. Defaults to ("observation",).
+        action_mask_key: bool [*batch, N], True for legal actions; None for no mask.
+        action_key: the action's key, "action" or a nested key that ends in it.
+        action_value_key: the values' key; illegal actions get the lowest finite float.
 
     Raises:
-        ValueError: for another action_key, by which TorchRL would not find the spec, or a spec with
-            batch dimensions.
+        ValueError: for any other action_key, with which TorchRL would not find the spec, or a spec
+            with batch dimensions.
 
     Examples:
         >>> import torch
@@ -69,13 +69,13 @@ def q_actor(
         action_value_key=action_value_key,
         action_mask_key=action_mask_key,
     )
-    # TorchRL's own marks every action of the greatest value: several, where all values are 0.
+    # TorchRL's function marks every action of the highest value: several, if all values are 0.
     actor[-1].action_func_mapping["one_hot"] = _one_hot
     return actor
 
 
 def check_spec_of_one_action(spec: TensorSpec) -> None:
-    """Raises ValueError for the index of many actions."""
+    """Raises ValueError for a spec of a batch of action indices."""
     if isinstance(spec, Categorical) and spec.shape not in ((), (1,)):
         raise ValueError(
             "spec must be that of one action, env.action_spec_unbatched, got shape "
@@ -88,7 +88,7 @@ def _one_hot(values: Tensor) -> Tensor:
 
 
 def legal_actions(tensordict: TensorDictBase, key: NestedKey | None) -> Tensor | None:
-    """Returns the mask of legal actions, bool [*batch, N]; None where there is no key for one.
+    """Returns the mask of legal actions, bool [*batch, N]; None without a key.
 
     Raises:
         KeyError: if the mask is missing.
@@ -98,21 +98,21 @@ def legal_actions(tensordict: TensorDictBase, key: NestedKey | None) -> Tensor |
     mask: Tensor | None = tensordict.get(key, None)
     if mask is None:
         raise KeyError(
-            f"{key!r} is missing, the mask of legal actions; if all of them always are, make actor "
-            "and exploration with action_mask_key=None"
+            f"{key!r} is missing, the mask of legal actions; if every action is always legal, make "
+            "actor and exploration with action_mask_key=None"
         )
     return mask
 
 
 def masked(values: Tensor, mask: Tensor | None) -> Tensor:
-    """Returns values [*batch, N] with the least number at what is not legal, as TorchRL has it.
+    """Returns values [*batch, N] with the lowest float at illegal actions, as TorchRL does.
 
     Args:
-        values: of all actions.
+        values: the values of all actions, [*batch, N].
         mask: bool [*batch, N], True for legal actions; None if all are.
 
     Raises:
-        ValueError: for a mask of another number of actions.
+        ValueError: for a mask with a different number of actions.
     """
     if mask is None:
         return values
@@ -127,16 +127,16 @@ def masked(values: Tensor, mask: Tensor | None) -> Tensor:
 def split_actor(
     actor: TensorDictModuleBase,
 ) -> tuple[TensorDictModuleBase, TensorDictModuleBase | None]:
-    """Returns what writes an actor's values, and what chooses the action by them.
+    """Splits an actor into the network that writes values and the module that chooses an action.
 
     Args:
         actor: a ``QValueActor``, or any ``TensorDictSequential`` of modules (convolutional,
-            recurrent, nested) with a ``QValueModule`` or
-            :class:`~bbq_torchrl.networks.vote.VoteModule` among them; what comes behind that is
-            left out. The parts are the actor's own modules, not copies.
+            recurrent, nested) that includes a ``QValueModule`` or
+            :class:`~bbq_torchrl.networks.vote.VoteModule`; modules after that are left out.
 
     Returns:
-        the network and the choice; the whole actor and None where no module of it chooses.
+        the network and the choosing module, not copies; the whole actor and None if no module
+        chooses.
 
     Examples:
         >>> from tensordict.nn import TensorDictModule, TensorDictSequential
@@ -159,7 +159,7 @@ def split_actor(
 
 
 def _parts(module: TensorDictModuleBase) -> Iterator[TensorDictModuleBase]:
-    """Yields the modules of a sequence in order, those of nested ones too."""
+    """Yields the modules of a sequence in order, including nested ones."""
     if isinstance(module, TensorDictSequential):
         for part in module.module:
             yield from _parts(part)

@@ -1,4 +1,4 @@
-"""A bootstrapped Q-network as a TorchRL actor, which acts by its heads' majority vote."""
+"""A bootstrapped Q-network as a TorchRL actor that acts by majority vote of its heads."""
 
 from __future__ import annotations
 
@@ -22,23 +22,23 @@ if TYPE_CHECKING:
 class VoteModule(TensorDictModuleBase):
     """Turns the values of K heads into an action by majority vote.
 
-    Each head votes for its legal action of greatest value, and the action with the most votes is
-    taken. Among actions with equally many votes the one of greatest mean value over all heads
-    wins, and of equal means the one with the lowest index: the vote draws nothing.
+    Each head votes for its legal action with the highest value, and the action with the most votes
+    is taken. Ties are broken by the highest mean value over all heads, then by the lowest index, so
+    the vote draws no random numbers.
 
     Args:
-        spec: of one action, without batch dimensions: Categorical or OneHot.
+        spec: the spec of one action, without batch dimensions: Categorical or OneHot.
 
     Keyword Args:
-        head_value_key: values [*batch, K, N], which it reads.
-        action_mask_key: bool [*batch, N], True for actions that may be taken; None for no mask.
-        action_key: where the action goes, an index [*batch] or one-hot [*batch, N] (int64).
-        action_value_key: where the mean of the values over the heads goes, [*batch, N];
-            forbidden actions have the least float there.
-        chosen_action_value_key: where that of the action goes, [*batch, 1].
+        head_value_key: the values to read, [*batch, K, N].
+        action_mask_key: bool [*batch, N], True for legal actions; None for no mask.
+        action_key: the action's key, an index [*batch] or one-hot [*batch, N] (int64).
+        action_value_key: the key of the mean values over the heads, [*batch, N]; illegal actions
+            get the lowest finite float.
+        chosen_action_value_key: the key of the chosen action's mean value, [*batch, 1].
 
     Raises:
-        ValueError: for another spec.
+        ValueError: for any other spec.
 
     Examples:
         >>> import torch
@@ -66,7 +66,7 @@ class VoteModule(TensorDictModuleBase):
         if type(spec) not in (Categorical, OneHot):  # Binary is a Categorical
             raise ValueError(f"spec must be a Categorical or a OneHot, got {type(spec).__name__}")
         check_spec_of_one_action(spec)
-        # what TorchRL calls the key that a Q-value module reads
+        # TorchRL's name for the key that a Q-value module reads
         self.action_value_key = head_value_key
         self.action_mask_key = action_mask_key
         self.in_keys = [head_value_key]
@@ -79,15 +79,15 @@ class VoteModule(TensorDictModuleBase):
 
     @property
     def spec(self) -> Composite:
-        """Specs of what it writes."""
+        """Specs of the written entries."""
         return self._spec
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes the action that wins the vote, the heads' mean values, and the action's."""
+        """Writes the winning action, the heads' mean values, and the action's mean value."""
         return self.vote(tensordict, tensordict.get(self.action_value_key))
 
     def vote(self, tensordict: TensorDictBase, head_values: Tensor) -> TensorDictBase:
-        """Writes what :meth:`forward` does; head_values has shape [*batch, K, N]."""
+        """Writes the entries of :meth:`forward` for head_values [*batch, K, N]."""
         mask = legal_actions(tensordict, self.action_mask_key)
         ballots = masked(head_values, None if mask is None else mask.unsqueeze(-2)).argmax(-1)
         shape = (*head_values.shape[:-2], head_values.shape[-1])
@@ -98,7 +98,7 @@ class VoteModule(TensorDictModuleBase):
         return self._write(tensordict, masked(mean, mask), index)
 
     def act_greedily(self, tensordict: TensorDictBase, values: Tensor) -> TensorDictBase:
-        """Writes the legal action of greatest value; values has shape [*batch, N]."""
+        """Writes the legal action with the highest value, for values [*batch, N]."""
         values = masked(values, legal_actions(tensordict, self.action_mask_key))
         return self._write(tensordict, values, values.argmax(-1, keepdim=True))
 
@@ -115,7 +115,7 @@ class VoteModule(TensorDictModuleBase):
 
 
 class _BootstrapActor(QValueActor):
-    """A QValueActor with a vote in the place of its argmax."""
+    """A QValueActor that votes instead of taking the argmax."""
 
     def __init__(self, network: TensorDictModule, vote: VoteModule) -> None:
         self.action_space = "one_hot" if isinstance(vote._action_spec, OneHot) else "categorical"
@@ -133,27 +133,27 @@ def bootstrap_actor(
     action_value_key: NestedKey = "action_value",
     head_value_key: NestedKey = "head_value",
 ) -> QValueActor:
-    """Returns an actor on a network with heads, which acts by their majority vote.
+    """Returns an actor on a network with heads that acts by their majority vote.
 
-    Its two parts are those of a :class:`~torchrl.modules.QValueActor`: the network, which writes
-    the values of all heads, and the choice, a :class:`VoteModule`. So
-    :class:`~bbq_torchrl.objectives.BootstrapDQNLoss` learns it and
+    It has two parts, as a :class:`~torchrl.modules.QValueActor` does: the network, which writes the
+    values of all heads, and a :class:`VoteModule`, which chooses. So
+    :class:`~bbq_torchrl.objectives.BootstrapDQNLoss` trains it, and
     :class:`~bbq_torchrl.exploration.BootstrapSampling` and
-    :class:`~bbq_torchrl.exploration.MajorityVote` act on it; and so do, by the vote,
-    :class:`~bbq_torchrl.exploration.Greedy` (with an ``EGreedyModule`` behind it) and
-    :class:`~bbq_torchrl.exploration.EvaluationPolicy` in its mode "mean".
+    :class:`~bbq_torchrl.exploration.MajorityVote` act on it.
+    :class:`~bbq_torchrl.exploration.Greedy` (followed by an ``EGreedyModule``) and
+    :class:`~bbq_torchrl.exploration.EvaluationPolicy` in mode "mean" act by the vote too.
 
     Args:
         network: maps the observation [*batch, F] to values [*batch, K, N], such as a
             :class:`~bbq_torchrl.networks.BootstrapMLP`.
-        spec: of one action, without batch dimensions (``env.action_spec_unbatched``).
+        spec: the spec of one action, without batch dimensions (``env.action_spec_unbatched``).
 
     Keyword Args:
-        in_keys: what the network reads. Defaults to ("observation",).
-        action_mask_key: bool [*batch, N], True for actions that may be taken; None for no mask.
-        action_key: where the action goes.
-        action_value_key: where the mean of the heads' values goes.
-        head_value_key: where the values of all heads go.
+        in_keys: the entries that the network reads. Defaults to ("observation",).
+        action_mask_key: bool [*batch, N], True for legal actions; None for no mask.
+        action_key: the action's key.
+        action_value_key: the key of the mean values over the heads.
+        head_value_key: the key of the values of all heads.
 
     Raises:
         ValueError: for a spec that is neither Categorical nor OneHot, or has batch dimensions.
