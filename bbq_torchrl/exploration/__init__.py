@@ -1,4 +1,4 @@
-"""Ways to act on a Q-network: TensorDict modules that honor the actor's action mask."""
+"""Exploration strategies: TensorDict modules that honor the actor's action mask."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Annealed exploration: ε-greedy, and Boltzmann with a temperature."""
+"""Annealed exploration: ε-greedy and Boltzmann."""
 
 from __future__ import annotations
 
@@ -21,24 +21,24 @@ if TYPE_CHECKING:
 class BatchedEGreedy(EGreedyModule):
     """TorchRL's ``EGreedyModule`` with a separate epsilon for each part of the batch.
 
-    TorchRL's compares its random numbers to whatever shape its buffers have, and only its
-    constructor insists on one number: this one replaces the buffers.
+    TorchRL's module compares its random numbers with buffers of any shape; only its constructor
+    requires a single number. So this class replaces the buffers.
 
     Args:
-        spec: of the action.
-        eps_init: epsilon at first, a tensor that broadcasts with the batch, such as [*replicas, 1]
-            for one a replica.
+        spec: the spec of the action.
+        eps_init: initial epsilon, a number or a tensor that broadcasts with the batch, such as
+            [*replicas, 1] for one per replica.
         eps_end: epsilon after ``annealing_num_steps`` steps, likewise.
         annealing_num_steps: length of the schedule.
 
     Keyword Args:
-        action_key: as in ``EGreedyModule``, like the other one.
+        action_key: as in ``EGreedyModule``.
         action_mask_key: bool [*batch, N], or None for no mask.
-        device: of the schedule.
+        device: device of the schedule.
 
     Raises:
-        ValueError: if not 1 ≥ eps_init ≥ eps_end ≥ 0, without any step, or, when called, for a
-            batch that the epsilons do not broadcast with.
+        ValueError: unless 1 ≥ eps_init ≥ eps_end ≥ 0 and the schedule has a step; when called,
+            for a batch that the epsilons do not broadcast with.
 
     Examples:
         >>> import torch
@@ -82,7 +82,7 @@ class BatchedEGreedy(EGreedyModule):
         self.eps = start.to(device, copy=True)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes the action [*batch], a random one where it explores."""
+        """Writes the action [*batch], random where it explores."""
         check_batch("eps", self.eps, tensordict.batch_size)
         return super().forward(tensordict)
 
@@ -90,25 +90,25 @@ class BatchedEGreedy(EGreedyModule):
 class Boltzmann(TensorDictModuleBase):
     """Replaces the greedy action by a draw from softmax(Q / temperature).
 
-    Goes behind an actor; explores under RANDOM and outside of any context, else leaves the
-    action as it is. The temperature falls linearly with :meth:`step` and is a buffer, so that
-    checkpoints hold it.
+    Place it after an actor. It explores under RANDOM and outside of any context, otherwise it
+    leaves the action unchanged. The temperature falls linearly with :meth:`step` and is a buffer,
+    so checkpoints include it.
 
     Args:
-        temperature_init: temperature at first, in units of Q (rewards): one number, or a tensor
-            that broadcasts with the batch, such as [*replicas, 1] for one a replica.
+        temperature_init: initial temperature in units of Q (rewards): a number, or a tensor that
+            broadcasts with the batch, such as [*replicas, 1] for one per replica.
         temperature_end: temperature after ``annealing_num_steps`` steps, likewise.
         annealing_num_steps: length of the schedule.
 
     Keyword Args:
-        action_key: where the greedy action is and the drawn one goes: one-hot [*batch, N] where the
-            greedy one is, else (and where there is none) an index [*batch].
+        action_key: the key of the greedy action, which is replaced. The drawn action is one-hot
+            [*batch, N] if the greedy one is, otherwise (and without one) an index [*batch].
         action_value_key: values [*batch, N].
         action_mask_key: bool [*batch, N], or None for no mask.
-        device: of the schedule.
+        device: device of the schedule.
 
     Raises:
-        ValueError: if not temperature_init ≥ temperature_end > 0, without any step, or, when
+        ValueError: unless temperature_init ≥ temperature_end > 0 and the schedule has a step; when
             called, for a batch that the temperatures do not broadcast with.
 
     Examples:
@@ -141,7 +141,7 @@ class Boltzmann(TensorDictModuleBase):
         start, end = schedule(temperature_init, temperature_end, annealing_num_steps)
         if not bool(((start >= end) & (end > 0)).all()):
             raise ValueError(
-                "temperature_init must be at least temperature_end and that positive, got "
+                "temperature_init must be at least temperature_end and both must be positive, got "
                 f"{start.tolist()} and {end.tolist()}"
             )
         super().__init__()
@@ -169,7 +169,7 @@ class Boltzmann(TensorDictModuleBase):
         if not explores():
             return tensordict
         check_batch("temperature", self.temperature, tensordict.batch_size)
-        # values have one dimension more than the batch
+        # values have one more dimension than the batch
         temperature = self.temperature.unsqueeze(-1)
         logits = tensordict.get(self.action_value_key).detach() / temperature
         # argmax(logit - log E), E ~ Exp(1), is a draw from the softmax (the Gumbel trick)

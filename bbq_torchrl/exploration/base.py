@@ -1,4 +1,4 @@
-"""The base class and the helpers of exploration strategies."""
+"""The base class and helpers of exploration strategies."""
 
 from __future__ import annotations
 
@@ -27,9 +27,9 @@ Per = Literal["step", "episode", "round"]
 
 
 def explores() -> bool:
-    """Returns whether exploration modules explore: under RANDOM, and outside of any context.
+    """Returns whether exploration modules explore: under RANDOM and outside of any context.
 
-    None counts as RANDOM, as it does for TorchRL's ``EGreedyModule``.
+    Outside of any context counts as RANDOM, as for TorchRL's ``EGreedyModule``.
     """
     return exploration_type() in (ExplorationType.RANDOM, None)
 
@@ -37,10 +37,10 @@ def explores() -> bool:
 def schedule(
     start: float | Tensor, end: float | Tensor, annealing_num_steps: int
 ) -> tuple[Tensor, Tensor]:
-    """Returns where a schedule starts and ends, float32 of one shape: not those that were given.
+    """Returns copies of the start and end of a schedule, float32 and of the same shape.
 
     Raises:
-        ValueError: for a schedule without a step.
+        ValueError: if the schedule has no step.
     """
     check("annealing_num_steps", annealing_num_steps, at_least(1))
     pair = [torch.as_tensor(value, dtype=torch.float32) for value in (start, end)]
@@ -49,7 +49,7 @@ def schedule(
 
 
 def check_batch(name: str, values: Tensor, batch: torch.Size) -> None:
-    """Raises ValueError unless values have a shape that broadcasts to the batch's."""
+    """Raises ValueError unless the values broadcast to the batch shape."""
     try:
         values.expand(batch)
     except RuntimeError:
@@ -59,9 +59,9 @@ def check_batch(name: str, values: Tensor, batch: torch.Size) -> None:
 
 
 def fit_posteriors(drawn: Mapping[GaussianPosterior, Tensor]) -> bool:
-    """Returns whether draws have the dtype and device that their posteriors have now.
+    """Returns whether draws still have the dtype and device of their posteriors.
 
-    A loss that shares the network may have been moved, which the policy is not told.
+    They differ if a loss that shares the network was moved, which does not notify the policy.
     """
     return all(
         (draws.dtype, draws.device) == (posterior.mu.dtype, posterior.mu.device)
@@ -70,10 +70,11 @@ def fit_posteriors(drawn: Mapping[GaussianPosterior, Tensor]) -> bool:
 
 
 def weight_sums(weights: Iterable[Tensor]) -> list[float]:
-    """Returns the sum of each tensor of weights: other numbers once they were learned or synced.
+    """Returns the sum of each weight tensor, which changes when weights are updated or synced.
 
-    What is drawn for a round is drawn anew then. A collector's process is told of no round: new
-    weights are copied into its policy's in place, past every hook and version counter.
+    Draws that last for a round are renewed when a sum changes. A collector's worker process is not
+    notified of rounds: new weights are copied in place into its policy, past every hook and version
+    counter.
     """
     sums = [weight.detach().sum() for weight in weights]
     if any(total.is_meta for total in sums):
@@ -82,19 +83,19 @@ def weight_sums(weights: Iterable[Tensor]) -> list[float]:
 
 
 def posterior_sums(found: Iterable[GaussianPosterior]) -> list[float]:
-    """Returns :func:`weight_sums` of posteriors."""
+    """Returns the :func:`weight_sums` of posteriors."""
     return weight_sums(weight for posterior in found for weight in posterior.parameters())
 
 
 def forget_draws(policy: Resampled, _: object = None) -> None:
-    """Makes a policy draw anew after its state was loaded; a hook of ``load_state_dict``."""
+    """Renews a policy's draws after its state was loaded; a ``load_state_dict`` hook."""
     policy.resample()
 
 
 def rename_older_keys(
     policy: nn.Module, state_dict: dict[str, Any], prefix: str, *_: object
 ) -> None:
-    """Renames entries of when an actor's were below ``actor``; a hook of ``load_state_dict``."""
+    """Removes the prefix ``actor`` from entries of older states; a ``load_state_dict`` hook."""
     older = f"{prefix}actor."
     if "actor" not in policy._modules:
         for key in [key for key in state_dict if key.startswith(older)]:
@@ -102,22 +103,22 @@ def rename_older_keys(
 
 
 class ActorPolicy(TensorDictModuleBase):
-    """A policy that reads and writes what its actor does.
+    """The base class of policies that read and write the entries of an actor.
 
-    The actor's modules are the policy's own, under the same names. So ``state_dict`` and
-    ``TensorDict.from_module`` name the weights of both alike, and weights of an actor are synced
-    into a policy by name, as TorchRL's trainers and collectors do.
+    A policy has the actor's modules under the same names. So ``state_dict`` and
+    ``TensorDict.from_module`` use the same weight names for both, and TorchRL's trainers and
+    collectors can sync an actor's weights into a policy by name.
 
-    Its draws are renewed once the policy is moved or cast (:meth:`to`).
+    Moving or casting the policy (:meth:`to`) renews its draws.
 
     Args:
-        actor: what chooses actions from values.
-        per: how long it acts on what it draws, if it draws.
+        actor: the module that chooses actions from values.
+        per: the lifetime of a draw, for policies that draw.
         init_key: bool [*batch, 1] or [*batch], True where a row begins an episode; read for
             per="episode".
 
     Raises:
-        ValueError: for another ``per``, or an actor that is no TensorDict module.
+        ValueError: for an unknown ``per``, or an actor that is not a TensorDict module.
     """
 
     actor: QValueActor
@@ -126,18 +127,18 @@ class ActorPolicy(TensorDictModuleBase):
         self, actor: QValueActor, per: Per = "step", init_key: NestedKey = "is_init"
     ) -> None:
         check("per", per, one_of(*get_args(Per)))
-        if not (hasattr(actor, "in_keys") and hasattr(actor, "out_keys")):  # compiled, too
+        if not (hasattr(actor, "in_keys") and hasattr(actor, "out_keys")):  # or a compiled one
             raise ValueError(
-                "actor must be a TensorDict module, such as q_actor makes of a network, got "
+                "actor must be a TensorDict module, such as q_actor returns, got "
                 f"{type(actor).__name__}"
             )
         super().__init__()
-        # Not as a submodule: its weights would have a second name.
+        # Not a submodule, which would give its weights second names.
         self.__dict__["actor"] = actor
         for name, module in actor.named_children():
             self.add_module(name, module)
         for own in ("_parameters", "_buffers"):
-            if vars(actor)[own]:  # an actor that is a layer itself
+            if vars(actor)[own]:  # the actor itself is a layer
                 self.__dict__[own] = vars(actor)[own]
         self.register_load_state_dict_pre_hook(rename_older_keys)
         self.per = per
@@ -145,11 +146,11 @@ class ActorPolicy(TensorDictModuleBase):
         self.in_keys = [*actor.in_keys, init_key] if per == "episode" else actor.in_keys
         self.out_keys = actor.out_keys
 
-    def _begins(self, tensordict: TensorDictBase) -> Tensor | None:
-        """Returns which rows begin an episode, bool [*batch]; None unless they are to know.
+    def _episode_starts(self, tensordict: TensorDictBase) -> Tensor | None:
+        """Returns the mask of rows that begin an episode, bool [*batch]; None unless per="episode".
 
         Raises:
-            ValueError: if the entry that says so is missing.
+            ValueError: if the entry ``init_key`` is missing.
         """
         if self.per != "episode":
             return None
@@ -157,13 +158,13 @@ class ActorPolicy(TensorDictModuleBase):
         if found is None:
             raise ValueError(
                 f"per='episode' needs the entry {self.init_key!r}, True where an episode begins: "
-                "append torchrl.envs.InitTracker() to the environment, or take per='step' or "
+                "append torchrl.envs.InitTracker() to the environment, or use per='step' or "
                 "per='round'"
             )
         return found.reshape(tensordict.batch_size)
 
     def train(self, mode: bool = True) -> Self:
-        """Sets the training mode of the policy and its actor. Returns itself."""
+        """Sets the training mode of the policy and its actor, and returns the policy."""
         self.actor.train(mode)
         return super().train(mode)
 
@@ -174,5 +175,5 @@ class ActorPolicy(TensorDictModuleBase):
 
     @property
     def spec(self) -> Composite | None:
-        """Specs of what the actor writes; None where it knows none, as a bare sequence."""
+        """Specs of the entries that the actor writes; None if it has no specs."""
         return getattr(self.actor, "spec", None)

@@ -1,4 +1,4 @@
-"""Acting on the heads of a bootstrapped Q-network: on one at a time, or by their vote."""
+"""Acting on the heads of a bootstrapped Q-network: one at a time, or by majority vote."""
 
 from __future__ import annotations
 
@@ -19,8 +19,8 @@ if TYPE_CHECKING:
     from torchrl.modules import QValueActor
 
 
-class _OnHeads(ActorPolicy):
-    """A policy on the heads of an actor, which does not write the values of all of them."""
+class _HeadPolicy(ActorPolicy):
+    """The base class of policies on an actor's heads, without the entry of all heads' values."""
 
     def __init__(
         self, actor: QValueActor, per: Per = "step", init_key: NestedKey = "is_init"
@@ -28,7 +28,7 @@ class _OnHeads(ActorPolicy):
         network, choice = split_actor(actor)
         if not isinstance(choice, VoteModule):
             raise ValueError(
-                "actor must be one that chooses by a VoteModule, as bootstrap_actor returns it, "
+                "actor must choose with a VoteModule, as the actors of bootstrap_actor do, "
                 f"got {type(actor).__name__} with {type(choice).__name__}"
             )
         super().__init__(actor, per, init_key)
@@ -37,34 +37,34 @@ class _OnHeads(ActorPolicy):
 
     @property
     def spec(self) -> Composite:
-        """Specs of what it writes."""
+        """Specs of the written entries."""
         return cast("VoteModule", split_actor(self.actor)[1]).spec
 
     def _head_values(self, tensordict: TensorDictBase) -> tuple[VoteModule, Tensor]:
-        """Returns who votes, and the values of all heads, [*batch, K, N]; dropout is off."""
+        """Returns the vote module and all heads' values [*batch, K, N]; dropout is off."""
         network, choice = split_actor(self.actor)
         assert isinstance(choice, VoteModule)
         with weight_scope("mean"):
             out = network(tensordict.select(*network.in_keys, strict=False))
-        for key in network.out_keys:  # a recurrent state, say
+        for key in network.out_keys:  # such as a recurrent state
             if key != choice.action_value_key:
                 tensordict.set(key, out.get(key))
         return choice, out.get(choice.action_value_key)
 
 
-class MajorityVote(_OnHeads):
+class MajorityVote(_HeadPolicy):
     """Acts by the majority vote of the heads, whatever the exploration type.
 
-    Each head votes for its legal action of greatest value; of equally many votes the greater mean
-    value over all heads decides, then the lower index (see
+    Each head votes for its legal action with the highest value. Ties are broken by the highest mean
+    value over all heads, then by the lowest index (see
     :class:`~bbq_torchrl.networks.vote.VoteModule`). Writes the action and, as ``action_value``
     [*batch, N], the mean of the values over the heads.
 
     Args:
-        actor: what :func:`~bbq_torchrl.networks.bootstrap_actor` returns.
+        actor: an actor from :func:`~bbq_torchrl.networks.bootstrap_actor`.
 
     Raises:
-        ValueError: for another actor.
+        ValueError: for any other actor.
 
     Examples:
         >>> import torch
@@ -79,42 +79,41 @@ class MajorityVote(_OnHeads):
     """
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes the action that wins the vote, and the heads' mean values."""
+        """Writes the winning action and the heads' mean values."""
         choice, values = self._head_values(tensordict)
         return choice.vote(tensordict, values)
 
 
-class BootstrapSampling(_OnHeads):
+class BootstrapSampling(_HeadPolicy):
     """Acts greedily on one head, drawn uniformly for each row (Bootstrapped DQN, Osband 2016).
 
-    Under the exploration types DETERMINISTIC, MEAN and MODE it acts by the majority vote; under
-    RANDOM and outside of any context it explores (as ``EGreedyModule``). Writes the action and,
-    as ``action_value`` [*batch, N], the values of the head acted on (of the vote: the mean over
-    the heads).
+    Under the exploration types DETERMINISTIC, MEAN and MODE it acts by majority vote; under RANDOM
+    and outside of any context it explores (as ``EGreedyModule`` does). Writes the action and, as
+    ``action_value`` [*batch, N], the values of the active head (for the vote: the mean over the
+    heads).
 
-    TorchRL's ``TensorDictPrimer(head=Categorical(10), random=True)`` draws a head for each
-    episode too, but as a part of the environment: it would have to know how many heads the agent
-    has, the head would become an entry of every observation and transition, and comparing agents
-    in one environment, or voting in the very same one, would need the transform taken out.
+    TorchRL's ``TensorDictPrimer(head=Categorical(10), random=True)`` also draws a head for each
+    episode, but as a part of the environment. The environment would then depend on the agent's
+    number of heads, every observation and transition would include the head, and the transform
+    would have to be removed to vote or to compare agents in the same environment.
 
     Args:
-        actor: what :func:`~bbq_torchrl.networks.bootstrap_actor` returns.
+        actor: an actor from :func:`~bbq_torchrl.networks.bootstrap_actor`.
 
     Keyword Args:
-        per: how long a head is acted on. "step": one action. "episode" (the paper): until the
-            row's next ``init_key``. "round": until :meth:`resample`, or until the weights change: a
-            collector with worker processes draws anew whenever it syncs new weights. Defaults
-            to "episode".
+        per: the lifetime of a head. "step": one action. "episode" (as in the paper): until the
+            row's next ``init_key``. "round": until :meth:`resample`, or until the weights change; a
+            collector with worker processes redraws whenever it syncs new weights. Defaults to
+            "episode".
         init_key: bool [*batch, 1] or [*batch], True where a row begins an episode (TorchRL's
-            ``InitTracker`` writes it); needed for per="episode", else not read. Defaults to
-            "is_init".
+            ``InitTracker`` writes it); read for per="episode" only. Defaults to "is_init".
 
-    Heads are drawn anew when the batch shape changes: other rows are other episodes. The
-    numbers come from torch's global generator, for all rows at each call that may need one, so
-    that what a row draws never depends on when the others begin.
+    A change of the batch shape redraws the heads, as other rows are other episodes. Each call that
+    may need heads draws them for all rows from torch's global generator, so a row's draw does not
+    depend on when other rows begin.
 
     Raises:
-        ValueError: for another ``per`` or another actor, or, when called, for per="episode"
+        ValueError: for an unknown ``per`` or another actor; when called, for per="episode"
             without ``init_key``.
 
     Examples:
@@ -141,15 +140,15 @@ class BootstrapSampling(_OnHeads):
 
     @property
     def heads(self) -> Tensor | None:
-        """The head that each row acted on last, int64 [*batch]; None before the first action."""
+        """The last active head of each row, int64 [*batch]; None before the first action."""
         return self._heads
 
     def resample(self) -> None:
-        """Forgets the heads: the next call draws new ones."""
+        """Discards the heads; the next call draws new ones."""
         self._heads = None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes the action that is greedy on the row's head, and that head's values."""
+        """Writes the greedy action of the row's head and that head's values."""
         choice, values = self._head_values(tensordict)
         if not explores():
             return choice.vote(tensordict, values)
@@ -160,7 +159,7 @@ class BootstrapSampling(_OnHeads):
     @torch.inference_mode(False)  # the heads outlive the call
     def _next_heads(self, tensordict: TensorDictBase, values: Tensor) -> Tensor:
         rows = values.shape[:-2]
-        new = self._begins(tensordict)
+        new = self._episode_starts(tensordict)
         last = self._heads
         now = weight_sums(self.parameters()) if self.per == "round" else None
         if last is not None and (last.shape != rows or self._drawn_from != now):

@@ -1,4 +1,4 @@
-"""Acting without exploration: the mean network, and the policies that are reported."""
+"""Acting without exploration: the mean network and other evaluation policies."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ if TYPE_CHECKING:
 class Greedy(ActorPolicy):
     """Acts greedily on the mean network, whatever the exploration type.
 
-    Dropout of this package's networks is off; ``nn.Dropout`` is as ``eval()`` and ``train()`` say.
+    Dropout of this package's networks is off; ``nn.Dropout`` follows ``eval()`` and ``train()``.
 
     Args:
-        actor: what chooses actions from values.
+        actor: the module that chooses actions from values.
 
     Examples:
         >>> import torch
@@ -56,7 +56,7 @@ class Greedy(ActorPolicy):
     """
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes the greedy action and the values it comes from."""
+        """Writes the greedy action and the values."""
         with weight_scope("mean"):
             return self.actor(tensordict)
 
@@ -65,27 +65,26 @@ EvaluationMode = Literal["mean", "average", "draw", "thompson"]
 
 
 class EvaluationPolicy(ActorPolicy):
-    """Acts greedily on what is to be reported, whatever the exploration type.
+    """The policy for evaluation, greedy whatever the exploration type.
 
-    ReLU of noise has a positive mean, so that Q at the mean weights is not the mean of Q: these
-    are different policies.
+    ReLU of noise has a positive mean, so Q at the mean weights differs from the mean of Q, and the
+    modes are different policies.
 
     Args:
-        actor: a Q-value actor: a network and the choice of the action behind it.
+        actor: a Q-value actor: a network, followed by the choice of the action.
 
     Keyword Args:
-        mode: "mean", Q at the mean weights (without dropout, but for ``nn.Dropout``, which is as
-            ``eval()`` and ``train()`` say); "average", the mean of Q over
-            ``num_draws`` weight draws; "draw", Q at one weight draw; "thompson", Q at new draws at
-            every call, for each row its own, as ThompsonSampling(per="step") trains. The draws of
-            "average" and "draw" are made at the first call, for each replica, and
-            stay until :meth:`resample`, or until the weights change: learned, synced by a collector
-            or loaded. What else the network writes, such as a recurrent state, is the mean over the
-            draws too.
+        mode: "mean", Q at the mean weights (without dropout, except ``nn.Dropout``, which follows
+            ``eval()`` and ``train()``); "average", the mean of Q over ``num_draws`` weight draws;
+            "draw", Q at one weight draw; "thompson", Q at new draws for each row in every call, as
+            in training with ThompsonSampling(per="step"). "average" and "draw" draw for each
+            replica at the first call, and again after :meth:`resample` or a change of the weights
+            (by learning, a collector's sync, or loading). Other entries that the network writes,
+            such as a recurrent state, are means over the draws too.
         num_draws: number of draws for "average". Defaults to 10.
 
     Raises:
-        ValueError: for another mode, fewer than one draw, or draws from a network that has no
+        ValueError: for an unknown mode, fewer than one draw, or draws from a network without
             Bayesian layers.
 
     Examples:
@@ -117,12 +116,12 @@ class EvaluationPolicy(ActorPolicy):
         self.register_load_state_dict_post_hook(forget_draws)
 
     def resample(self) -> None:
-        """Forgets the draws: the next call makes new ones."""
+        """Discards the draws; the next call makes new ones."""
         self._draws = []
 
     @torch.no_grad()
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes the greedy action and the values it comes from."""
+        """Writes the greedy action and the values."""
         if self.mode in ("mean", "thompson"):
             is_mean = self.mode == "mean"
             batch = tensordict.batch_size

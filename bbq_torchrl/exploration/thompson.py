@@ -1,4 +1,4 @@
-"""Acting on draws: of the weights (Thompson sampling), or of the noise of a NoisyNet."""
+"""Acting on weight draws (Thompson sampling) or noise draws (NoisyNet)."""
 
 from __future__ import annotations
 
@@ -32,33 +32,30 @@ class ThompsonSampling(ActorPolicy):
     """Draws weights from the posterior and acts greedily on them.
 
     Under the exploration types DETERMINISTIC, MEAN and MODE it acts on the mean network; under
-    RANDOM and outside of any context it explores (as ``EGreedyModule``).
+    RANDOM and outside of any context it explores (as ``EGreedyModule`` does).
 
     Args:
         actor: an actor whose network has Bayesian layers.
 
     Keyword Args:
-        per: how long a draw is acted on. "step" (the paper): one action. "episode": until the
-            row's next ``init_key``; an episode under way keeps its draw while the weights are
-            learned or synced. "round": until :meth:`resample`, or until the weights change: a
-            collector with worker processes draws anew whenever it syncs new weights. Defaults
-            to "step".
-        shared: whether the rows of a batch act on one draw (each replica has its
-            own) or each on its own. One shared draw makes 50 episodes side by side one
-            experiment; with per="episode" it is redrawn for all as soon as one of them begins.
-            Defaults to True for "round", else False.
+        per: the lifetime of a draw. "step" (as in the paper): one action. "episode": until the
+            row's next ``init_key``; a running episode keeps its draw while the weights are trained
+            or synced. "round": until :meth:`resample`, or until the weights change; a collector
+            with worker processes redraws whenever it syncs new weights. Defaults to "step".
+        shared: whether the rows of a batch share one draw (per replica) or each have a separate
+            one. With a shared draw 50 parallel episodes are a single experiment; with per="episode"
+            a new episode in any row redraws for all. Defaults to True for "round", else False.
         init_key: bool [*batch, 1] or [*batch], True where a row begins an episode (TorchRL's
-            ``InitTracker`` writes it); needed for per="episode", else not read. Defaults to
-            "is_init".
+            ``InitTracker`` writes it); read for per="episode" only. Defaults to "is_init".
 
-    Independent draws for each row cost a batch of noise for every weight if they are to stay
-    (B·P numbers, P ≈ 145,000 for 268-256-256-39). Per step they come from local
-    reparameterization, which is exact for one input per draw, at a hundredth of that; a layer
-    of one's own without :meth:`~bbq_torchrl.bayes.BayesLayer.run_local` pays the former. A kept
-    draw is redrawn when the batch shape changes: other rows are other episodes.
+    Independent draws for each row that outlive a step cost noise for every row and weight (B·P
+    numbers, P ≈ 145,000 for 268-256-256-39). Draws per step cost a hundredth of that, as local
+    reparameterization is exact for one input per draw; a custom layer without
+    :meth:`~bbq_torchrl.bayes.BayesLayer.run_local` pays the full cost. A change of the batch shape
+    redraws, as other rows are other episodes.
 
     Raises:
-        ValueError: for another ``per``, an actor without Bayesian layers, or, when called, for
+        ValueError: for an unknown ``per`` or an actor without Bayesian layers; when called, for
             per="episode" without ``init_key``.
 
     Examples:
@@ -94,12 +91,12 @@ class ThompsonSampling(ActorPolicy):
         self.register_load_state_dict_post_hook(forget_draws)
 
     def resample(self) -> None:
-        """Forgets the draws: the next call acts on new ones."""
+        """Discards the draws; the next call makes new ones."""
         self._draws = {}
         self._rows = self._drawn_from = None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes the action that is greedy on the drawn weights, and the values."""
+        """Writes the greedy action of the drawn weights and the values."""
         if not explores():
             with weight_scope("mean"):
                 return self.actor(tensordict)
@@ -118,7 +115,7 @@ class ThompsonSampling(ActorPolicy):
         found = posteriors(self.actor)
         replicas = found[0].replicas
         rows = tensordict.batch_size[len(replicas) :]
-        new = self._begins(tensordict)
+        new = self._episode_starts(tensordict)
         now = posterior_sums(found) if self.per == "round" else None
         fits = self._rows == rows and self._drawn_from == now
         if not fits or not fit_posteriors(self._draws):
@@ -133,17 +130,17 @@ class ThompsonSampling(ActorPolicy):
 
 
 class NoisySampling(ActorPolicy):
-    """Acts greedily on noise that is new at every step (NoisyNet's exploration).
+    """Acts greedily on noise that is redrawn at every step (NoisyNet's exploration).
 
     Under the exploration types DETERMINISTIC, MEAN and MODE it acts on the mean network μ; under
-    RANDOM and outside of any context it explores (as ``EGreedyModule``).
+    RANDOM and outside of any context it explores (as ``EGreedyModule`` does).
 
     Args:
         actor: an actor whose network has noisy layers.
 
     Keyword Args:
-        shared: whether the rows of a batch act on one noise (each replica has its
-            own) or each on its own, as if it were alone. Defaults to False.
+        shared: whether the rows of a batch share one noise draw (per replica) or each have a
+            separate one. Defaults to False.
 
     Raises:
         ValueError: for an actor without noisy layers.
@@ -166,7 +163,7 @@ class NoisySampling(ActorPolicy):
         self.shared = shared
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes the action that is greedy under the noise, and the values."""
+        """Writes the greedy action under the noise and the values."""
         mode: WeightMode = "draw" if self.shared else "local"
         with weight_scope(mode if explores() else "mean"):
             return self.actor(tensordict)
