@@ -1,4 +1,4 @@
-"""The Bayes-by-Backprop Q-network's loss (Lipton et al., BBQ-Networks, AAAI 2018)."""
+"""The loss of Bayes-by-Backprop Q-networks (Lipton et al., BBQ-Networks, AAAI 2018)."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 Target = Literal["map", "mc"]
 TargetNoise = Literal["mean", "independent", "shared"]
 
-# What each target may be; the first is its default.
+# The allowed target noises of each target, the default first.
 _TARGET_NOISES: dict[Target, tuple[TargetNoise, ...]] = {
     "map": ("mean",),
     "mc": ("independent", "shared"),
@@ -41,7 +41,7 @@ _TARGET_NOISES: dict[Target, tuple[TargetNoise, ...]] = {
 
 @dataclass
 class _Cache:
-    """Tensors that are much the same from batch to batch, computed at the first that needs them."""
+    """Tensors that change little between batches, computed at first use."""
 
     noise: NoisePool = field(default_factory=NoisePool)
     kl: dict[Hashable, Tensor] = field(default_factory=dict)
@@ -55,49 +55,45 @@ class BBQNLoss(NumData, OneStepQLoss):
 
         mean over the batch of (y - Q(s, a; w))² / (2 noise_std²) + kl_temperature · KL / N
 
-    with one draw w of the weights a batch: the negative evidence bound divided by N, so that
-    more data weigh more against the prior. y is a constant. The KL is that of every
-    :class:`~bbq_torchrl.bayes.GaussianPosterior` in the network, whatever layer holds it.
+    with one weight draw w per batch. This is the negative evidence lower bound divided by N, so the
+    prior weighs less the more data there are. y is a constant. The KL is the sum over every
+    :class:`~bbq_torchrl.bayes.GaussianPosterior` in the network, in any layer.
 
     Args:
         value_network: an actor, or a network that maps the observation to values, with Bayesian
             layers.
 
     Keyword Args:
-        target: "map", the frozen posterior's mean network gives the target, or "mc", one weight
-            draw of the frozen posterior a batch. Defaults to "map".
-        target_noise: where the target's noise comes from. "mean": there is none (the only
-            choice for "map"). For "mc", "independent": it is drawn (the paper's), or "shared":
-            the target's weights are μ⁻ + σ⁻·ε with the frozen μ⁻, σ⁻ and the very noise ε of
-            the batch's online draw, so that one draw is one value function on both sides of
-            the equation and its uncertainty goes through the target. Defaults to None, "mean"
-            for "map" and "independent" for "mc".
-        kl: "closed" or "sampled" (log q(w) - log p(w) at the draw; the paper's). Under Adam the
-            sampled one moves weights that no data reach away from the prior. Defaults to
-            "closed".
+        target: "map", the mean network of the frozen posterior, or "mc", one weight draw of the
+            frozen posterior per batch. Defaults to "map".
+        target_noise: the noise of the target's weights. "mean": no noise (the only choice for
+            "map"). For "mc", "independent": a separate draw (as in the paper), or "shared": the
+            weights are μ⁻ + σ⁻·ε with the frozen μ⁻, σ⁻ and the noise ε of the batch's online
+            draw, so one draw is one value function on both sides of the equation and its
+            uncertainty propagates through the target. Defaults to None, "mean" for "map" and
+            "independent" for "mc".
+        kl: "closed" or "sampled" (log q(w) - log p(w) at the draw, as in the paper). Under Adam the
+            sampled KL moves weights that no data reach away from the prior. Defaults to "closed".
         noise_std: standard deviation of the observation noise of y, in units of Q; a number or
             a tensor [*replicas]. Defaults to 1.
-        kl_temperature: factor of the KL; 1 is Bayes' rule and the paper's, less trusts the data
-            more. A number or a tensor [*replicas]. Defaults to 0.014.
+        kl_temperature: factor of the KL; 1 is Bayes' rule, as in the paper, a smaller one trusts
+            the data more. A number or a tensor [*replicas]. Defaults to 0.014.
         gamma: discount of the one-step target, a number or a tensor [*replicas]. Defaults to 0.9.
-        num_data: N, for each replica or one for all; see :meth:`set_num_data`,
-            which is to be called before the first loss where this is None.
+        num_data: N, a number or a tensor [*replicas]. If None, call :meth:`set_num_data` before
+            the first loss.
         action_space: "categorical", "one-hot" or the action's spec; taken from the actor if it
             has one.
         delay_value: whether the target is a frozen copy of the network. Defaults to True.
-        cache: whether tensors that are much the same from batch to batch are computed at the first
-            batch after :meth:`begin_epoch` only, and cached until the next call: the pool that the
-            weight noise of all batches is taken from
-            (:class:`~bbq_torchrl.bayes.noise.NoisePool`), the frozen posterior's σ for an
-            "mc" target, and the value of the closed KL, which is reported in ``kl`` and in the
-            losses until then (its gradient is that of each batch).
-            That saves a quarter of an update on a CPU, and needs the call at least after each
-            update of the target network. On other devices nothing is cached: there it would save
-            little. Defaults to False.
+        cache: whether to compute tensors that change little between batches once, at the first
+            batch after :meth:`begin_epoch`: the noise pool of all batches
+            (:class:`~bbq_torchrl.bayes.noise.NoisePool`), the frozen posterior's σ for an "mc"
+            target, and the value of the closed KL, as reported in ``kl`` and the losses (its
+            gradient is computed for each batch). This saves a quarter of an update on a CPU. Call
+            :meth:`begin_epoch` at least after each update of the target network. On other devices,
+            where it would save little, nothing is cached. Defaults to False.
 
     Raises:
-        ValueError: for an argument outside of what is listed, or a network without Bayesian
-            layers.
+        ValueError: for an invalid argument, or a network without Bayesian layers.
 
     Examples:
         >>> import torch
@@ -123,8 +119,8 @@ class BBQNLoss(NumData, OneStepQLoss):
         torch.Size([5])
     """
 
-    # TorchRL runs a loss's forward under DETERMINISTIC, where layers that follow the exploration
-    # type use their means and σ would get no gradient.
+    # TorchRL runs a loss's forward pass under DETERMINISTIC, where layers that follow the
+    # exploration type use their means, and σ would get no gradient.
     deterministic_sampling_mode = ExplorationType.RANDOM
     noise_std: float | Tensor
     kl_temperature: float | Tensor
@@ -168,10 +164,10 @@ class BBQNLoss(NumData, OneStepQLoss):
         self._set("kl_temperature", kl_temperature, AT_LEAST_ZERO)
 
     def _set(self, name: str, value: float | Tensor, allowed: Allowed = ABOVE_ZERO) -> None:
-        """Sets a hyper-parameter; values [*replicas] are a buffer, for they follow the device."""
+        """Sets a hyperparameter; values [*replicas] become a buffer that follows the device."""
         value = checked_number(name, value, self.replicas, allowed)
         if isinstance(value, Tensor):
-            # As little part of the state as a number is.
+            # Like a number, not part of the state.
             self.register_buffer(name, value.to(self.num_data.device), persistent=False)
         else:
             setattr(self, name, value)
@@ -188,11 +184,11 @@ class BBQNLoss(NumData, OneStepQLoss):
         return self.num_data.reciprocal() * temperature
 
     def begin_epoch(self) -> None:
-        """Empties the cache: the next batch computes its tensors afresh."""
+        """Empties the cache; the next batch recomputes its tensors."""
         self._epoch_cache = _Cache()
 
     def _cache_for(self, tensors: Sequence[Tensor]) -> _Cache | None:
-        """Returns the cache for a network of these parameters; None: nothing is cached."""
+        """Returns the cache for a network with these parameters, or None where caching is off."""
         on_cpu = tensors[0].device.type == "cpu"
         is_used = self.cache and on_cpu and not torch.compiler.is_compiling()
         return self._epoch_cache if is_used else None
@@ -213,7 +209,7 @@ class BBQNLoss(NumData, OneStepQLoss):
         return values, {"kl": kl.total()}
 
     def _target_values(self, tensors: Sequence[Tensor], inputs: Inputs) -> Tensor:
-        # Used up: each batch has new noise, and none outlives its batch.
+        # Cleared, because each batch has new noise, which must not outlive its batch.
         shared, self._online_noise = self._online_noise, None
         if self.target == "map":
             return super()._target_values(tensors, inputs)

@@ -1,4 +1,4 @@
-"""The DQN losses: with dropout in the prediction, with the noise of a NoisyNet, and of heads."""
+"""DQN losses: with dropout in the prediction, for NoisyNets, and for bootstrap heads."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
 
 
 class DropoutDQNLoss(OneStepQLoss):
-    """The DQN loss of replicas of a network, dropout on in the prediction and off in the target.
+    """The DQN loss with dropout on in the prediction and off in the target, for replicas.
 
-    TorchRL's DQNLoss leaves dropout to the training flag: in training mode the targets are
-    random, and ``policy.eval()`` (policy and loss share the network) turns it off in the loss.
+    TorchRL's DQNLoss leaves dropout to the training flag: in training mode the targets are random,
+    and ``policy.eval()`` turns it off in the loss too, as policy and loss share the network.
 
     Args:
         value_network: an actor, or a network that maps the observation to values.
@@ -58,29 +58,28 @@ class DropoutDQNLoss(OneStepQLoss):
         (['loss', 'loss_value', 'q_value', 'td_error'], torch.Size([5]))
     """
 
-    out_keys = list(OneStepQLoss.out_keys)  # noqa: RUF012 - TorchRL looks for a class's own
+    out_keys = list(OneStepQLoss.out_keys)  # noqa: RUF012 - TorchRL reads the class's __dict__
 
 
 class NoisyDQNLoss(OneStepQLoss):
-    """NoisyNet's DQN loss of replicas of a network (Fortunato et al., Noisy Networks, ICLR 2018).
+    """NoisyNet's DQN loss (Fortunato et al., Noisy Networks, ICLR 2018), for replicas.
 
-    With parameters ζ = (μ, σ), frozen ones ζ⁻ and independent noises ε, ε', ε'', one of each for
-    a batch, each network's loss is the mean over the batch of (y - Q(s, a, ε; ζ))² with
+    With parameters ζ = (μ, σ), frozen parameters ζ⁻ and independent noises ε, ε', ε'', each drawn
+    once per batch, each network's loss is the mean over the batch of (y - Q(s, a, ε; ζ))² with
 
         y = r + γ max_a Q(s', a, ε'; ζ⁻), or in double DQN
         y = r + γ Q(s', argmax_a Q(s', a, ε''; ζ), ε'; ζ⁻)
 
-    as in NoisyNet-DQN (the double form is the one that the paper gives for NoisyNet-Dueling); y
-    is a constant. :class:`DropoutDQNLoss` on the same network takes μ in the target in place of
-    ε' and ε''.
+    as in NoisyNet-DQN (the double form is the paper's for NoisyNet-Dueling); y is a constant.
+    On the same network :class:`DropoutDQNLoss` uses μ in the target, without ε' and ε''.
 
     Args:
         value_network: an actor, or a network that maps the observation to values, with noisy
             layers (:class:`~bbq_torchrl.networks.NoisyMLP`).
-        **settings: the keywords of :class:`DropoutDQNLoss`.
+        **settings: the keyword arguments of :class:`DropoutDQNLoss`.
 
     Raises:
-        ValueError: for an argument outside of what is listed, or a network without noisy layers.
+        ValueError: for an invalid argument, or a network without noisy layers.
 
     Examples:
         >>> import torch
@@ -101,7 +100,7 @@ class NoisyDQNLoss(OneStepQLoss):
         (['loss', 'loss_value', 'q_value', 'td_error'], torch.Size([5]))
     """
 
-    out_keys = list(OneStepQLoss.out_keys)  # noqa: RUF012 - TorchRL looks for a class's own
+    out_keys = list(OneStepQLoss.out_keys)  # noqa: RUF012 - TorchRL reads the class's __dict__
     _target_mode: WeightMode = "draw"
 
     def __init__(self, value_network: QValueActor | nn.Module, **settings: Any) -> None:
@@ -110,22 +109,22 @@ class NoisyDQNLoss(OneStepQLoss):
 
 
 class BootstrapDQNLoss(OneStepQLoss):
-    """The DQN loss of K heads, each with its own target and its own share of the data.
+    """The DQN loss of K heads, each with a separate target and a separate share of the data.
 
-    Each head learns r + γ max Q(s', ·) of its own frozen copy, or with ``double_dqn`` the value
-    that its frozen copy gives the action of its own choice. A head's loss is the mean over the
-    rows that it learns from, and the heads' losses add up: a head learns as it would alone.
+    The target of a head is r + γ max Q(s', ·) of its frozen copy; with ``double_dqn``, the online
+    head chooses the action and its frozen copy evaluates it. A head's loss is the mean over its
+    rows, and the heads' losses are summed, so each head learns as it would alone.
     (:class:`~bbq_torchrl.networks.BootstrapMLP` divides the gradient of a shared trunk by K, so
-    that the trunk follows the mean of the heads' losses.)
+    the trunk follows the mean of the heads' losses.)
 
-    Reads what :class:`OneStepQLoss` does and, where the input has it, ``bootstrap_mask`` (bool
-    [*replicas, *batch, K], True where the head learns from the row; TorchRL's ``set_keys`` gives it
-    another name), together with "valid". Without it all heads learn from every row. Rows that no
-    head learns from may hold anything, NaN too.
+    Reads the entries of :class:`OneStepQLoss` and optionally ``bootstrap_mask`` (bool
+    [*replicas, *batch, K], True where the head learns from the row; TorchRL's ``set_keys`` renames
+    it), combined with "valid". Without it all heads learn from every row. Rows that no head learns
+    from may contain anything, including NaN.
 
     Args:
-        value_network: an actor as :func:`~bbq_torchrl.networks.bootstrap_actor` makes it, or a
-            network that maps the observation to values [*replicas, *batch, K, N].
+        value_network: an actor from :func:`~bbq_torchrl.networks.bootstrap_actor`, or a network
+            that maps the observation to values [*replicas, *batch, K, N].
 
     Keyword Args:
         gamma: discount of the one-step target, a number or a tensor [*replicas]. Defaults to 0.9.
@@ -136,8 +135,7 @@ class BootstrapDQNLoss(OneStepQLoss):
         loss_function: "l2", "l1" or "smooth_l1". Defaults to "l2".
 
     Raises:
-        ValueError: for an argument outside of what is listed; when called, for values or a mask
-            whose shape does not fit.
+        ValueError: for an invalid argument; when called, for values or a mask of the wrong shape.
 
     Examples:
         >>> import torch
@@ -163,23 +161,23 @@ class BootstrapDQNLoss(OneStepQLoss):
 
     @dataclass
     class _AcceptedKeys(OneStepQLoss._AcceptedKeys):
-        """The entries whose names ``set_keys`` changes.
+        """The keys that ``set_keys`` can change.
 
         Attributes:
-            bootstrap_mask: which heads learn from a row. Defaults to ``"bootstrap_mask"``.
+            bootstrap_mask: mask of heads that learn from a row. Defaults to ``"bootstrap_mask"``.
         """
 
         bootstrap_mask: NestedKey = "bootstrap_mask"
 
     tensor_keys: _AcceptedKeys
     default_keys = _AcceptedKeys
-    out_keys = list(OneStepQLoss.out_keys)  # noqa: RUF012 - TorchRL looks for a class's own
+    out_keys = list(OneStepQLoss.out_keys)  # noqa: RUF012 - TorchRL reads the class's __dict__
 
     @dispatch  # type: ignore[untyped-decorator]
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Returns the losses of a batch of transitions.
 
-        Also writes the squared TD error [*replicas, *batch, 1], the mean over the heads that learn
+        Also writes the squared TD error [*replicas, *batch, 1], averaged over the heads that learn
         from the row, into the input under the priority key, for prioritized replay.
 
         Args:
@@ -187,9 +185,9 @@ class BootstrapDQNLoss(OneStepQLoss):
 
         Returns:
             a TensorDict with the scalar "loss" to differentiate, the sum over heads and replicas,
-            and without a graph "loss_value", "td_error" (mean of |Q - target|) and "q_value"
-            (mean of Q at the actions taken), each [*replicas]: means over the heads that learn from
-            any row of the batch, so that their size does not depend on K.
+            and, without a graph, "loss_value", "td_error" (mean of |Q - target|) and "q_value"
+            (mean of Q at the actions taken), each [*replicas]. These are means over the heads that
+            learn from any row of the batch, so their scale does not depend on K.
         """
         keys = self.tensor_keys
         online, target = self._tensors()
@@ -210,7 +208,7 @@ class BootstrapDQNLoss(OneStepQLoss):
             rows = None if weight is None else self._by_head(weight.expand(heads).unsqueeze(-1))
         loss, td_error, q_value, square = td_loss(
             self._by_head(values),
-            self._by_head(self._beside_values(index).expand(*heads, 1)),
+            self._by_head(self._like_values(index).expand(*heads, 1)),
             self._by_head(td_target),
             rows,
             self.loss_function,
@@ -235,23 +233,23 @@ class BootstrapDQNLoss(OneStepQLoss):
         tensor = tensor.movedim(-2, dims)
         return tensor.reshape(*tensor.shape[: dims + 1], -1, tensor.shape[-1])
 
-    def _beside_values(self, entry: Tensor) -> Tensor:
-        """Returns an entry [*replicas, *batch, n] with a dimension for the heads."""
+    def _like_values(self, entry: Tensor) -> Tensor:
+        """Returns an entry [*replicas, *batch, n] as [*replicas, *batch, 1, n], for all heads."""
         return entry.unsqueeze(-2)
 
     def _head_weights(
         self, tensordict: TensorDictBase, mask: Tensor | None, like: Tensor
     ) -> Tensor | None:
-        """Returns row weights [*replicas, *batch, K or 1] that add up to 1 for each head."""
+        """Returns row weights [*replicas, *batch, K or 1] that sum to 1 for each head."""
         weight = row_weights(self, tensordict, like)
         if mask is None:
             return weight
         if mask.ndim != like.ndim or mask.shape[:-1] != like.shape[:-1]:
             raise self._wrong_mask(mask, [*like.shape[:-1], "heads"])
-        learns = mask.to(torch.result_type(like, 1.0))  # rewards may be whole numbers
+        learns = mask.to(torch.result_type(like, 1.0))  # rewards may be integers
         weight = learns if weight is None else learns * weight
         dims = tuple(range(len(self.replicas), like.ndim - 1))
-        # 0 / tiny for a head that learns from no row at all: it has no gradient
+        # 0 / tiny: a head that learns from no row has no gradient
         tiny = torch.finfo(weight.dtype).tiny
         return weight / weight.sum(dims, keepdim=True).clamp_min_(tiny)
 

@@ -1,4 +1,4 @@
-"""The base class of Q-learning losses: one-step targets, replicas, rows that count."""
+"""The base class of Q-learning losses: one-step targets, replicas, row masks."""
 
 from __future__ import annotations
 
@@ -36,27 +36,26 @@ class OneStepQLoss(DQNLoss):
     """A :class:`~torchrl.objectives.DQNLoss` for replicas of a network with uncertain weights.
 
     Reads a TensorDict [*replicas, *batch] with the actor's in_keys, the action, and under "next"
-    the same in_keys, reward and terminated [*replicas, *batch, 1]. Each replica has a
-    loss of its own, the mean over its batch; ``loss`` is their sum, so that no replica's
-    gradient depends on another's data. Rows can be left out: ``loss_mask_key`` (TorchRL's
-    attribute) names an optional bool entry [*replicas, *batch] that is True for the rows that
-    count; by default TorchRL's entries and "valid" are read. States and rewards of the others may
-    be anything, NaN too.
+    the same in_keys, reward and terminated [*replicas, *batch, 1]. Each replica's loss is the mean
+    over its batch. ``loss`` is their sum, so no replica's gradient depends on another's data.
+    Rows can be left out: ``loss_mask_key`` (TorchRL's attribute) names an optional bool entry
+    [*replicas, *batch] that is True for valid rows; the default reads TorchRL's entries and
+    "valid". States and rewards of invalid rows may contain anything, including NaN.
 
-    Where the frozen network's values of the next states are at hand, computed by
-    :meth:`next_state_values` once a freeze for many batches, the loss takes them from the entry
-    ``next_state_value`` under "next" and runs the online network only.
+    If the input has the entry ``next_state_value`` under "next", the loss takes the frozen
+    network's values of the next states from there and runs the online network only.
+    :meth:`next_state_values` computes them once per freeze for many batches.
 
     The actor may be any sequence of modules, see
-    :func:`~bbq_torchrl.networks.q_actor.split_actor`. A recurrent state is one of its in_keys: that
-    of the next state is read under "next", as it was stored.
+    :func:`~bbq_torchrl.networks.q_actor.split_actor`. A recurrent state is one of its in_keys; the
+    stored one under "next" belongs to the next state.
 
-    Where the input has TorchRL's entry ``steps_to_next_obs`` (its n-step transforms write it), the
+    If the input has TorchRL's entry ``steps_to_next_obs``, which its n-step transforms write, the
     value of the state n steps later is discounted by gamma ** n.
 
-    Differences from TorchRL's: the target is that of TD0 without ``average_rewards``, computed
-    without TensorDicts in between; only index and one-hot actions; the network's dropout and weight
-    draws are set by the loss and not by the exploration type or the training flag.
+    Differences from TorchRL's loss: the target is that of TD0 without ``average_rewards``, computed
+    without intermediate TensorDicts; actions are indices or one-hot; the loss sets the network's
+    dropout and weight draws, not the exploration type or the training flag.
 
     Args:
         value_network: an actor, or a network that maps the observation to values.
@@ -67,22 +66,21 @@ class OneStepQLoss(DQNLoss):
             has one.
         delay_value: whether the target is a frozen copy of the network. Defaults to True.
         double_dqn: whether the online network chooses the target's action (its mean, unless a
-            subclass says otherwise).
-        loss_function: "l2", "l1" or "smooth_l1".
+            subclass differs). Defaults to False.
+        loss_function: "l2", "l1" or "smooth_l1". Defaults to "l2".
 
     Raises:
-        ValueError: for an argument outside of what is listed.
-        ValueError or KeyError: when called, for entries whose shape does not fit or that are
-            missing. A mask of legal actions may be missing only if the actor's
-            ``action_mask_key`` is None.
+        ValueError: for an invalid argument; when called, for entries of the wrong shape.
+        KeyError: when called, for missing entries. A mask of legal actions may be missing only if
+            the actor's ``action_mask_key`` is None.
     """
 
     @dataclass
     class _AcceptedKeys(DQNLoss._AcceptedKeys):
-        """The entries whose names ``set_keys`` changes.
+        """The keys that ``set_keys`` can change.
 
         Attributes:
-            next_state_value: under "next", what :meth:`next_state_values` returned; may be absent.
+            next_state_value: under "next", the optional values from :meth:`next_state_values`.
                 Defaults to ``"next_state_value"``.
         """
 
@@ -92,10 +90,10 @@ class OneStepQLoss(DQNLoss):
     default_keys = _AcceptedKeys
     out_keys = ["loss", "loss_value", "td_error", "q_value"]  # noqa: RUF012 - as in TorchRL
     SUPPORTED_VALUE_ESTIMATORS = (ValueEstimators.TD0,)
-    # of the weights in targets and, in double DQN, in the choice of the target's action
+    # weight mode of targets and, in double DQN, of the choice of the target's action
     _target_mode: WeightMode = "mean"
-    _scale: float | Tensor = 1.0  # of each row's loss; float64 [*replicas] where it differs
-    _kl_weight: Tensor  # of the KL, [*replicas]; only where _predict returns one
+    _scale: float | Tensor = 1.0  # factor of each row's loss; float64 if it is [*replicas]
+    _kl_weight: Tensor  # factor of the KL, [*replicas]; only if _predict returns a KL
 
     def __init__(
         self,
@@ -109,7 +107,7 @@ class OneStepQLoss(DQNLoss):
     ) -> None:
         check("loss_function", loss_function, DISTANCE)
         if isinstance(action_space, TensorSpec):
-            # DQNLoss makes an actor of a bare network with it, which takes its name only.
+            # DQNLoss passes it to the actor of a bare network, which accepts its name only.
             action_space = _find_action_space(action_space)
         super().__init__(
             value_network,
@@ -124,7 +122,7 @@ class OneStepQLoss(DQNLoss):
             )
         self.replicas = replicas_of(self.value_network)
         gamma = checked_number("gamma", gamma, self.replicas, PROBABILITY)
-        # The estimator makes a tensor of numbers itself, and warns of a copy if it is given one.
+        # The estimator makes a tensor itself and warns of a copy if it gets one.
         discount = gamma.tolist() if isinstance(gamma, torch.Tensor) else gamma
         device = next((parameter.device for parameter in self.parameters()), None)
         self.make_value_estimator(ValueEstimators.TD0, gamma=discount, device=device)
@@ -135,21 +133,21 @@ class OneStepQLoss(DQNLoss):
     # -- parameters -------------------------------------------------------------------------
 
     def _tensors(self) -> tuple[list[Tensor], list[Tensor]]:
-        """Returns the online and the target network's parameters and buffers."""
+        """Returns the parameters and buffers of the online and the target network."""
         # TorchRL erases attributes that begin with _cache when it casts or moves the loss. Loading
-        # a state writes into the tensors that are there; to_module puts others in their place.
+        # a state writes into the existing tensors; to_module replaces them.
         networks = [self.value_network_params]
         if self.delay_value:
             networks.append(self.target_value_network_params)
-        held = [params._param_td for params in networks]
+        current = [params._param_td for params in networks]
         cached = self.__dict__.get("_cache_tensors")
-        if cached is None or any(map(is_not, cached[0], held)):
+        if cached is None or any(map(is_not, cached[0], current)):
             cached = self.__dict__["_cache_tensors"] = (
-                held,
+                current,
                 [*map(self._function.tensors, networks)],
             )
         online, *target = cached[1]
-        # Not kept: what a parameter is detached to stays behind where its data are replaced.
+        # Not cached: a detached tensor keeps the old data if the parameter's data are replaced.
         return online, target[0] if target else [tensor.detach() for tensor in online]
 
     def __getstate__(self) -> dict[str, Any]:
@@ -161,9 +159,9 @@ class OneStepQLoss(DQNLoss):
 
     @property
     def has_fixed_targets(self) -> bool:
-        """True if the frozen network's value of a state is the same for every batch.
+        """Whether the frozen network's value of a state is the same for every batch.
 
-        It is not where the online network takes part in it, or noise that a batch draws.
+        It differs between batches if it depends on the online network or on noise drawn per batch.
         """
         return bool(self.delay_value) and not self.double_dqn and self._target_mode == "mean"
 
@@ -171,11 +169,11 @@ class OneStepQLoss(DQNLoss):
     def next_state_values(self, tensordict: TensorDictBase) -> Tensor:
         """Returns max Q(s', ·) of the frozen network over legal actions, [*replicas, *batch, 1].
 
-        To be handed to :meth:`forward` in the entry ``next_state_value`` under "next", until the
-        target network is updated.
+        Pass them to :meth:`forward` in the entry ``next_state_value`` under "next" until the target
+        network is updated.
 
         Args:
-            tensordict: transitions [*replicas, *batch]; what the network reads, under "next".
+            tensordict: transitions [*replicas, *batch] with the network's inputs under "next".
 
         Raises:
             RuntimeError: if ``has_fixed_targets`` is False.
@@ -190,11 +188,11 @@ class OneStepQLoss(DQNLoss):
     def _predict(
         self, tensors: Sequence[Tensor], inputs: Inputs
     ) -> tuple[Tensor, dict[str, Tensor]]:
-        """Returns the values [*replicas, *batch, N] to learn; "kl" [*replicas] if there is one."""
+        """Returns the values [*replicas, *batch, N] to train, and optionally "kl" [*replicas]."""
         return self._function(tensors, inputs, "draw"), {}
 
     def _target_values(self, tensors: Sequence[Tensor], inputs: Inputs) -> Tensor:
-        """Returns the frozen network's values [*replicas, *batch, N] of the next state."""
+        """Returns the frozen network's values of the next state, [*replicas, *batch, N]."""
         return self._function(tensors, inputs, self._target_mode)
 
     @dispatch  # type: ignore[untyped-decorator]
@@ -210,7 +208,7 @@ class OneStepQLoss(DQNLoss):
         Returns:
             a TensorDict with the scalar "loss" to differentiate and, without a graph,
             "loss_value", "td_error" (mean of |Q - target|) and "q_value" (mean of Q at the
-            actions taken), each [*replicas]; and what the subclass adds.
+            actions taken), each [*replicas], and the entries that the subclass adds.
         """
         keys = self.tensor_keys
         online, target = self._tensors()
@@ -237,7 +235,7 @@ class OneStepQLoss(DQNLoss):
         return TensorDict(out)
 
     def _inputs(self, tensordict: TensorDictBase, weight: Tensor | None) -> Inputs:
-        """Returns what the network reads, 0 in rows without weight: NaN · 0 would be NaN."""
+        """Returns the network's inputs, 0 in rows of weight 0, because NaN · 0 would be NaN."""
         ignored = None if weight is None else (weight == 0).all(-1)
         return self._function.inputs(tensordict, ignored)
 
@@ -249,8 +247,8 @@ class OneStepQLoss(DQNLoss):
         """Returns the reward and the index of the action, both [*replicas, *batch, 1].
 
         Raises:
-            ValueError: if the shape of one of them, or of terminated, does not fit, or an index is
-                no integer.
+            ValueError: if reward, action or terminated has the wrong shape, or the action is not of
+                an integer dtype.
         """
         keys = self.tensor_keys
         reward, terminated = (tensordict["next", key] for key in (keys.reward, keys.terminated))
@@ -292,11 +290,11 @@ class OneStepQLoss(DQNLoss):
         if steps is not None:
             gamma = gamma**steps
         if gamma.ndim:
-            gamma = self._beside_values(gamma)
-        reward = self._beside_values(reward)
-        going_on = torch.addcmul(reward, value, gamma)
-        terminated = self._beside_values(following[keys.terminated].bool())
-        return torch.where(terminated, reward, going_on)
+            gamma = self._like_values(gamma)
+        reward = self._like_values(reward)
+        bootstrapped = torch.addcmul(reward, value, gamma)
+        terminated = self._like_values(following[keys.terminated].bool())
+        return torch.where(terminated, reward, bootstrapped)
 
     def _next_values(
         self, tensordict: TensorDictBase, online: Sequence[Tensor], target: Sequence[Tensor]
@@ -307,13 +305,13 @@ class OneStepQLoss(DQNLoss):
         key = function.action_mask_key
         mask = legal_actions(tensordict, None if key is None else ("next", key))
         if mask is not None:
-            mask = self._beside_values(mask)
+            mask = self._like_values(mask)
         values = masked(self._target_values(target, inputs), mask)
         if not self.double_dqn:
             return values.amax(-1, keepdim=True)
         choice = masked(function(online, inputs, self._target_mode), mask)
         return values.gather(-1, choice.argmax(-1, keepdim=True))
 
-    def _beside_values(self, entry: Tensor) -> Tensor:
+    def _like_values(self, entry: Tensor) -> Tensor:
         """Returns an entry [*replicas, *batch, n] in a shape that broadcasts with the values."""
         return entry

@@ -1,4 +1,4 @@
-"""The rows of a batch that count, their weights, and the number of all data."""
+"""Row masks and weights of a batch, and the number of data N."""
 
 from __future__ import annotations
 
@@ -17,45 +17,43 @@ if TYPE_CHECKING:
 
 
 def row_entry(tensordict: TensorDictBase, key: NestedKey, rows: torch.Size) -> Tensor | None:
-    """Returns an entry with one value a row, in the shape [*rows, 1]; None where it is absent.
+    """Returns an entry with one value per row as [*rows, 1]; None if it is missing.
 
     Args:
         tensordict: a batch.
-        key: of the entry, [*rows] or [*rows, 1].
-        rows: the batch's shape.
+        key: the key of the entry, [*rows] or [*rows, 1].
+        rows: the batch shape.
 
     Raises:
-        ValueError: for an entry of another shape.
+        ValueError: for an entry of the wrong shape.
     """
     entry: Tensor | None = tensordict.get(key, None)
     if entry is None or entry.shape == (*rows, 1):
         return entry
     if entry.shape != rows:
-        raise ValueError(
-            f"{key!r} must have the batch's shape {list(rows)}, got {list(entry.shape)}"
-        )
+        raise ValueError(f"{key!r} must have the batch shape {list(rows)}, got {list(entry.shape)}")
     return entry.unsqueeze(-1)
 
 
 def rows_that_count(
     loss: LossModule, tensordict: TensorDictBase, rows: torch.Size
 ) -> Tensor | None:
-    """Returns which rows count for a loss by its ``loss_mask_key``, bool [*rows, 1]; None for all.
+    """Returns the mask of rows that a loss learns from, bool [*rows, 1]; None for all rows.
 
-    Where that is "auto", rows must count by "valid" (which the trainer's batches have) and by the
-    entries that TorchRL reads by default.
+    The loss's ``loss_mask_key`` names the mask. If it is "auto", the mask combines "valid" (which
+    the trainer's batches have) with the entries that TorchRL reads by default.
 
     Args:
-        loss: whose key it is.
+        loss: the loss with the key.
         tensordict: a batch.
-        rows: the batch's shape.
+        rows: the batch shape.
 
     Raises:
-        ValueError: for a mask of another shape.
+        ValueError: for a mask of the wrong shape.
     """
     counts: Tensor | None = None
-    own = ("valid",) if loss.loss_mask_key == "auto" else ()
-    for key in (*own, *loss._loss_mask_keys()):
+    ours = ("valid",) if loss.loss_mask_key == "auto" else ()
+    for key in (*ours, *loss._loss_mask_keys()):
         mask = row_entry(tensordict, key, rows)
         if mask is not None:
             counts = mask.bool() if counts is None else counts & mask.bool()
@@ -65,17 +63,17 @@ def rows_that_count(
 def weights_of_rows(
     loss: LossModule, tensordict: TensorDictBase, rows: torch.Size
 ) -> Tensor | None:
-    """Returns the weight of each row, [*rows, 1]; None if all rows count the same.
+    """Returns the weight of each row, [*rows, 1]; None if all rows weigh the same.
 
-    Floating-point where prioritized replay gave the rows weights, else bool.
+    Weights are floating-point if prioritized replay has set any, otherwise bool.
 
     Args:
-        loss: whose keys for masks and for the weights of prioritized replay are read.
+        loss: the loss with the keys of masks and prioritized weights.
         tensordict: a batch.
-        rows: the batch's shape.
+        rows: the batch shape.
 
     Raises:
-        ValueError: for a mask or weights of another shape.
+        ValueError: for a mask or weights of the wrong shape.
     """
     counts = rows_that_count(loss, tensordict, rows)
     if loss.use_prioritized_weights not in (True, "auto"):
@@ -87,52 +85,52 @@ def weights_of_rows(
 
 
 def row_weights(loss: LossModule, tensordict: TensorDictBase, reward: Tensor) -> Tensor | None:
-    """Returns weights [*replicas, *batch, 1] that add up to 1; None if all rows count the same.
+    """Returns weights [*replicas, *batch, 1] that sum to 1; None if all rows weigh the same.
 
     Args:
-        loss: with ``replicas``, and the keys of masks and of prioritized weights.
+        loss: the loss with ``replicas`` and the keys of masks and prioritized weights.
         tensordict: a batch.
         reward: shape [*replicas, *batch, 1].
 
     Raises:
-        ValueError: for a mask or weights of another shape.
+        ValueError: for a mask or weights of the wrong shape.
     """
     weight = weights_of_rows(loss, tensordict, reward.shape[:-1])
     if weight is None:
         return None
-    weight = weight.to(torch.result_type(reward, 1.0))  # rewards may be whole numbers
-    # 0 / tiny where no row counts at all: such a replica's data have no gradient
+    weight = weight.to(torch.result_type(reward, 1.0))  # rewards may be integers
+    # 0 / tiny: the data of a replica without valid rows have no gradient
     tiny = torch.finfo(weight.dtype).tiny
     total = weight.sum(tuple(range(len(loss.replicas), reward.ndim)), keepdim=True)
     return weight / total.clamp_min_(tiny)
 
 
 class NumData(nn.Module):
-    """The N of losses with a KL / N: a buffer, one for each replica.
+    """A mixin for losses with a KL / N: the buffer of N, [*replicas].
 
-    To be inherited from before TorchRL's ``LossModule``.
+    List it before TorchRL's ``LossModule`` in the bases.
     """
 
     num_data: Tensor
     replicas: torch.Size
 
     def _register_num_data(self, num_data: int | Tensor | None, like: Tensor) -> None:
-        """Makes the buffer, [*replicas], with the dtype and device of ``like``."""
-        # 0 stands for "not known yet"
+        """Registers the buffer, [*replicas], with the dtype and device of ``like``."""
+        # 0 means unknown
         self.register_buffer("num_data", like.new_zeros(self.replicas))
         self._num_data_known = False
         if num_data is not None:
             self.set_num_data(num_data)
 
     def set_num_data(self, num_data: int | Tensor) -> None:
-        """Sets N, the number of transitions that the KL is spread over.
+        """Sets N, the number of transitions that the KL is divided by.
 
         Args:
-            num_data: a number, or one for each replica, [*replicas]; positive (tensors
-                are not checked, so that no device has to be waited for).
+            num_data: a positive number or a tensor [*replicas]. The values of a tensor are not
+                checked, which avoids waiting for the device.
 
         Raises:
-            ValueError: if a number is not positive or a tensor's shape does not fit.
+            ValueError: if a number is not positive or a tensor has the wrong shape.
         """
         if isinstance(num_data, torch.Tensor):
             if num_data.shape not in (self.replicas, torch.Size(())):
@@ -148,10 +146,10 @@ class NumData(nn.Module):
         self._num_data_known = True
 
     def _check_num_data(self) -> None:
-        """Raises RuntimeError unless N is known."""
+        """Raises RuntimeError if N is unknown."""
         if not self._num_data_known:
             raise RuntimeError(
-                f"num_data is not known: give it to {type(self).__name__} or call "
+                f"num_data is unknown: pass it to {type(self).__name__} or call "
                 "set_num_data(n) with the number of transitions in the buffer"
             )
 

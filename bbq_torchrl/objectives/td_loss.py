@@ -16,7 +16,7 @@ DISTANCE = one_of(*get_args(Distance))
 
 
 class _TDLoss(torch.autograd.Function):
-    """values [*replicas, B, N] to the outputs of :func:`td_loss`."""
+    """Maps values [*replicas, B, N] to the outputs of :func:`td_loss`."""
 
     @staticmethod
     def forward(
@@ -32,7 +32,7 @@ class _TDLoss(torch.autograd.Function):
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, grad: Tensor | None, *_: Any) -> tuple[Tensor | None, ...]:
-        if grad is None:  # what took the loss has no gradient
+        if grad is None:  # the function of the loss has no gradient
             return None, None, None, None, None, None
         index, slope = ctx.saved_tensors
         slope = slope * grad[..., None, None]
@@ -48,14 +48,14 @@ def _run(
     distance: Distance,
     scale: float | Tensor,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor, Tensor]:
-    """Returns the outputs of :func:`td_loss`, and the loss's slope in each chosen value."""
-    whole = scale
+    """Returns the outputs of :func:`td_loss`, and the loss's derivative by each chosen value."""
+    total_scale = scale
     chosen = values.gather(-1, index)
     error = chosen - target
     if weight is None:
         scale = scale / max(1, error.shape[-2])
     else:
-        # Select, then multiply: a row that does not count may hold anything.
+        # Mask before multiplying: an ignored row may contain anything.
         ignored = weight == 0
         chosen, error = chosen.masked_fill(ignored, 0), error.masked_fill(ignored, 0)
     square, size = error.square(), error.abs()
@@ -73,11 +73,11 @@ def _run(
     else:
         slope = slope * weight
         loss, td_error, q_value = (sums * weight).sum(-2).unbind(-1)
-    return loss * _factor(whole, loss, 0), td_error, q_value, square, slope
+    return loss * _factor(total_scale, loss, 0), td_error, q_value, square, slope
 
 
 def _factor(scale: float | Tensor, like: Tensor, dims: int) -> float | Tensor:
-    """Returns a factor, a number or [*replicas], for a tensor with ``dims`` dimensions behind."""
+    """Returns a factor, a number or [*replicas], that broadcasts over ``dims`` more dimensions."""
     if not isinstance(scale, Tensor):
         return scale
     return scale.to(like.dtype).reshape(scale.shape + (1,) * dims)
@@ -91,22 +91,22 @@ def td_loss(
     distance: Distance = "l2",
     scale: float | Tensor = 1.0,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
-    """Returns each network's loss, mean |TD error| and mean Q, and each row's squared error.
+    """Returns each network's loss, mean |TD error| and mean Q, and each row's squared TD error.
 
     Args:
         values: Q, shape [*replicas, B, N].
         index: actions, int64, shape [*replicas, B, 1].
-        target: what the chosen values should be, shape [*replicas, B, 1]; gets no gradient.
-        weight: of each row, [*replicas, B, 1], adding up to 1 over a batch; None for 1/B each.
-            Rows of weight 0 may hold anything, NaN too.
+        target: targets of the chosen values, shape [*replicas, B, 1]; gets no gradient.
+        weight: row weights [*replicas, B, 1] that sum to 1 over a batch; None for 1/B each.
+            Rows of weight 0 may contain anything, including NaN.
         distance: "l2" (squared), "l1" or "smooth_l1" (as ``torch.nn``'s, β = 1).
         scale: factor of the loss, one number or float64 [*replicas].
 
     Returns:
         the loss [*replicas], Σ weight · scale · distance(Q(s, a) - target), differentiable in
         values; and without gradients Σ weight · |Q(s, a) - target| and Σ weight · Q(s, a), each
-        [*replicas], and (Q(s, a) - target)² [*replicas, B, 1], 0 in rows of weight 0. The sums
-        of a batch without rows are 0.
+        [*replicas], and (Q(s, a) - target)² [*replicas, B, 1], 0 in rows of weight 0. All sums
+        of an empty batch are 0.
 
     Examples:
         >>> import torch

@@ -1,4 +1,4 @@
-"""An actor's Q-network as a function of its parameters and of tensors."""
+"""An actor's Q-network as a function of parameters and input tensors."""
 
 from __future__ import annotations
 
@@ -24,29 +24,29 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.bayes.scope import WeightMode
 
-    Inputs: TypeAlias = Sequence[Tensor] | TensorDictBase  # entry by entry, or all of them
+    Inputs: TypeAlias = Sequence[Tensor] | TensorDictBase  # entries, or a TensorDict
 
-_WITH_DROPOUT = (_DropoutNd, nn.RNNBase, nn.MultiheadAttention)  # by their training flag
+_WITH_DROPOUT = (_DropoutNd, nn.RNNBase, nn.MultiheadAttention)  # by their training flags
 
 
 class ValueFunction:
-    """The network of a Q-value actor as a function of its parameters and of tensors.
+    """The network of a Q-value actor as a function of parameters and input tensors.
 
-    TorchRL's own way (parameters swapped in by ``to_module``, then the actor called on a
-    TensorDict) costs as much as the matrix products of a small network. This one swaps tensors
-    in the modules that own them; a network that is one module it calls on tensors, any other
-    (several modules, several outputs, a recurrent state) on a TensorDict.
+    TorchRL swaps parameters in with ``to_module`` and calls the actor on a TensorDict, which costs
+    as much as the matrix products of a small network. This class swaps tensors in the modules that
+    own them. It calls a network of a single module on tensors, and any other (several modules or
+    outputs, a recurrent state) on a TensorDict.
 
     Args:
         actor: network and choice of the action, see
             :func:`~bbq_torchrl.networks.q_actor.split_actor`.
-        params: of the actor, as ``LossModule.convert_to_functional`` makes them; names the
-            parameters and buffers that :meth:`__call__` expects.
-        value_key: where the values are if nothing in the actor chooses by them.
+        params: the actor's parameters, as ``LossModule.convert_to_functional`` makes them; their
+            keys name the parameters and buffers that :meth:`__call__` expects.
+        value_key: the key of the values, if no module of the actor chooses by them.
 
     Attributes:
-        in_keys: what the network reads.
-        action_mask_key: where the actor reads the mask of legal actions, None if it has none.
+        in_keys: the entries that the network reads.
+        action_mask_key: the key of the mask of legal actions, or None.
     """
 
     def __init__(
@@ -76,25 +76,25 @@ class ValueFunction:
             self._slots.append((store, path[-1]))
 
     def tensors(self, params: TensorDictParams) -> list[Tensor]:
-        """Returns the parameters and buffers that :meth:`__call__` takes.
+        """Returns the parameters and buffers for :meth:`__call__`.
 
         Args:
-            params: of the actor.
+            params: the actor's parameters.
         """
         return [params.get(key) for key in self._keys]
 
     def inputs(self, tensordict: TensorDictBase, ignored: Tensor | None = None) -> Inputs:
-        """Returns what :meth:`__call__` takes of the states in a TensorDict [*batch].
+        """Returns the inputs of :meth:`__call__` from the states in a TensorDict [*batch].
 
         Args:
             tensordict: the states.
-            ignored: bool [*batch], True for rows that are to be read as 0.
+            ignored: bool [*batch], True for rows to replace by 0.
         """
         if self._is_plain:
             entries = [tensordict[key] for key in self.in_keys]
-            return entries if ignored is None else [_blank(entry, ignored) for entry in entries]
+            return entries if ignored is None else [_zero_rows(entry, ignored) for entry in entries]
         found = tensordict.select(*self.in_keys, strict=False)
-        return found if ignored is None else found.apply(lambda entry: _blank(entry, ignored))
+        return found if ignored is None else found.apply(lambda entry: _zero_rows(entry, ignored))
 
     def __call__(
         self, tensors: Sequence[Tensor], inputs: Inputs, mode: WeightMode, **scope: Any
@@ -102,11 +102,11 @@ class ValueFunction:
         """Returns the values [*batch, N].
 
         Args:
-            tensors: what :meth:`tensors` returned.
-            inputs: what :meth:`inputs` returned.
+            tensors: the output of :meth:`tensors`.
+            inputs: the output of :meth:`inputs`.
             mode: "draw" (dropout on) or "mean" (dropout off).
-            scope: what else :func:`~bbq_torchrl.bayes.weight_scope` takes. The KL is that of
-                all posteriors, also of those whose layer does not draw through the scope.
+            scope: further arguments of :func:`~bbq_torchrl.bayes.weight_scope`. The KL includes
+                all posteriors, even those whose layer does not draw through the scope.
         """
         training = [dropout.training for dropout in self._dropouts]
         own = [store[name] for store, name in self._slots]
@@ -136,6 +136,6 @@ class ValueFunction:
         return values
 
 
-def _blank(entry: Tensor, rows: Tensor) -> Tensor:
-    """Returns [*batch, *features] with 0 in these rows, bool [*batch]."""
+def _zero_rows(entry: Tensor, rows: Tensor) -> Tensor:
+    """Returns an entry [*batch, *features] with the rows of a bool mask [*batch] set to 0."""
     return entry.masked_fill(rows.reshape(rows.shape + (1,) * (entry.ndim - rows.ndim)), 0)

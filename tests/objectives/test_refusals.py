@@ -59,7 +59,7 @@ def replicas(value):
         (
             DropoutDQNLoss,
             q_actor(nn.Sequential(TWO_REPLICAS, THREE_REPLICAS), Categorical(4)),
-            "must have one replica dimension in common",
+            "must share one replica shape",
         ),
         *(
             (DropoutDQNLoss, replicas(value), "must be an integer or a tuple of integers, got .*2")
@@ -98,7 +98,7 @@ BATCHES = {
     "mask of another shape": (
         lambda td: td.set("valid", torch.ones(2, 32, 3).bool()),
         ValueError,
-        r"'valid' must have the batch's shape \[2, 32\], got \[2, 32, 3\]",
+        r"'valid' must have the batch shape \[2, 32\], got \[2, 32, 3\]",
     ),
 }
 
@@ -147,6 +147,6 @@ def test_values_without_heads():
 
 
 def test_a_number_of_data_that_is_not_known():
-    words = r"num_data is not known: give it to BBQNLoss or call set_num_data\(n\)"
+    words = r"num_data is unknown: pass it to BBQNLoss or call set_num_data\(n\)"
     with pytest.raises(RuntimeError, match=words):
         bayes_loss(num_data=None)[0](transitions())
