@@ -1,4 +1,4 @@
-"""Replay with spiking, on TorchRL's storages, samplers and writers."""
+"""Replay buffers with spiking, on TorchRL's storages, samplers and writers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The mask of heads that learn from a transition, drawn when it is stored."""
+"""Bootstrap masks: the heads that learn from each transition, drawn when it is stored."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from torchrl.envs.transforms import Transform
 
 from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.checks import ABOVE_ZERO_TO_ONE, at_least, check
-from bbq_torchrl.seeds import checked_seed, own_seed
+from bbq_torchrl.seeds import checked_seed, unshared_seed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -23,28 +23,28 @@ if TYPE_CHECKING:
 class BootstrapMask(Transform):
     """Marks the heads that learn from each transition, as it is stored (Osband et al. 2016).
 
-    A transform for a replay buffer: storing writes the entry ``bootstrap_mask``, bool
-    [*replicas, *rows, heads] with independent Bernoulli(prob) numbers, where the transitions have
-    none yet; sampling changes nothing.
+    This is a replay buffer transform. Storing transitions without the entry ``bootstrap_mask``
+    writes it, bool [*replicas, *rows, heads] of independent Bernoulli(prob) numbers; sampling
+    changes nothing.
 
-    Each replica has a separate stream of random numbers. The n-th transition that
-    it stores gets the n-th numbers of the stream, however the transitions are cut into calls,
-    whatever the other replicas store, and on every device.
+    Each replica has a separate stream of random numbers. Its n-th stored transition gets the n-th
+    numbers of the stream, regardless of how calls split the transitions, of other replicas and of
+    the device.
 
     Args:
         heads: number of heads K.
-        prob: probability with which a head learns from a transition; 1 is no bootstrap, only an
-            ensemble. Defaults to 0.5.
+        prob: probability that a head learns from a transition; 1 means an ensemble without
+            bootstrap. Defaults to 0.5.
 
     Keyword Args:
-        replicas: leading shape of the transitions that is not rows. Defaults to ().
-        mask_key: where the masks go. Defaults to "bootstrap_mask".
-        valid_key: bool [*replicas, *rows], True for the rows that count; optional in what is
-            stored. The others get an empty mask and use up no random numbers. Defaults to "valid".
+        replicas: replica shape, the leading dimensions of the transitions. Defaults to ().
+        mask_key: the key of the masks. Defaults to "bootstrap_mask".
+        valid_key: an optional entry, bool [*replicas, *rows], True for valid rows. Invalid rows get
+            an empty mask and draw no random numbers. Defaults to "valid".
 
     Attributes:
-        generator_state: uint8 buffer [*replicas, bytes], where each replica's stream is: in the
-            state dict. At first drawn from torch's global generator.
+        generator_state: uint8 buffer [*replicas, bytes], the state of each replica's stream, part
+            of the state dict. Initially drawn from torch's global generator.
 
     Raises:
         ValueError: if ``heads`` is not positive or ``prob`` not in (0, 1].
@@ -80,13 +80,13 @@ class BootstrapMask(Transform):
         self.prob = prob
         self.replicas = replica_shape(replicas)
         self.valid_key = valid_key
-        # A buffer and no generator: it is saved, copied and pickled with everything else.
+        # A buffer, not a generator, so that it is saved, copied and pickled with the module.
         size = torch.Generator().get_state().shape
         self.register_buffer(
             "generator_state", torch.empty(*self.replicas, *size, dtype=torch.uint8)
         )
         drawn = torch.randint(2**63 - 1, (prod(self.replicas),)).tolist()
-        self.set_seeds([own_seed(seed) for seed in drawn])
+        self.set_seeds([unshared_seed(seed) for seed in drawn])
 
     @property
     def mask_key(self) -> NestedKey:
@@ -95,13 +95,13 @@ class BootstrapMask(Transform):
         return key
 
     def set_seeds(self, seeds: Sequence[int]) -> None:
-        """Restarts each replica's random numbers from a separate seed.
+        """Reseeds each replica's random numbers.
 
         Args:
-            seeds: one for each replica, in order; one if there are none.
+            seeds: one for each replica, in order; a single one for replicas=().
 
         Raises:
-            ValueError: for another number of seeds.
+            ValueError: for a wrong number of seeds.
         """
         if len(seeds) != prod(self.replicas):
             raise ValueError(
@@ -116,11 +116,11 @@ class BootstrapMask(Transform):
         return self.generator_state.view(prod(self.replicas), -1)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Returns what is sampled as it is."""
+        """Returns sampled transitions unchanged."""
         return tensordict
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes the masks of transitions that have none."""
+        """Writes the masks of transitions without masks."""
         if tensordict.get(self.mask_key, None) is not None:
             return tensordict
         shape, dims = tensordict.batch_size, len(self.replicas)
@@ -137,18 +137,18 @@ class BootstrapMask(Transform):
             counts = valid.sum(-1).tolist()
         mask = self._draw(counts, rows).to(tensordict.device or self.generator_state.device)
         if valid is not None:
-            # the j-th row that counts gets the j-th draw
+            # the j-th valid row gets the j-th draw
             draw = (valid.cumsum(-1) - 1).clamp_min_(0).unsqueeze(-1).expand_as(mask)
             mask = mask.to(valid.device).gather(1, draw) & valid.unsqueeze(-1)
         return tensordict.set(self.mask_key, mask.reshape(*shape, self.heads))
 
     def _draw(self, counts: Sequence[int], rows: int) -> Tensor:
-        """Returns a draw for each of the first ``counts`` rows, bool [count, rows, heads]."""
+        """Returns draws for each replica's first ``counts`` rows, bool [replicas, rows, heads]."""
         mask = torch.zeros(len(counts), rows, self.heads, dtype=torch.bool)
-        # on the CPU for every device: there a longer draw begins like a shorter one
+        # always on the CPU, where a longer draw begins like a shorter one
         generator = torch.Generator()
         for state, count, out in zip(self._states(), counts, mask, strict=True):
-            # torch crashes on a state that is a part of a larger tensor, hence a copy
+            # a copy, because torch crashes on a state that is part of a larger tensor
             generator.set_state(state.to("cpu", copy=True))
             draws = torch.rand(count, self.heads, generator=generator, dtype=torch.float64)
             torch.lt(draws, self.prob, out=out[:count])

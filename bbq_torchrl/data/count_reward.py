@@ -1,4 +1,4 @@
-"""A count bonus: an intrinsic reward for states that were seldom visited."""
+"""A count bonus: an intrinsic reward for rarely visited states."""
 
 from __future__ import annotations
 
@@ -18,35 +18,35 @@ if TYPE_CHECKING:
 
 
 class CountReward(Transform):
-    r"""Gives each stored transition a bonus for the rarity of the state that it leads to.
+    r"""Adds a bonus to each stored transition for the rarity of its next state.
 
-    A transform of a replay buffer, not of an environment. The bonus is 1 / sqrt(n), where n is how
-    often the state's kind has been stored (Strehl and Littman 2008, Bellemare et al. 2016). Two
-    states are of one kind if the same ones of the counted features are above 0. Kinds are hashed
-    into buckets (Tang et al. 2017): each feature has a random 63-bit number, and a kind is the sum
-    of those above 0.
+    This is a transform of a replay buffer, not of an environment. The bonus is 1 / sqrt(n), where n
+    is the number of stored states of the same kind (Strehl and Littman 2008, Bellemare et al.
+    2016). Two states are of the same kind if the same counted features are above 0. Kinds are
+    hashed into buckets (Tang et al. 2017): each feature has a random 63-bit number, and a kind is
+    the sum of the numbers of features above 0.
 
-    - Storing, it counts the new states and stores their buckets under ``("next", "kind")``.
-    - Reading, it returns ``("next", "reward")`` = reward + eta / sqrt(n) with the counts of that
-      moment: the bonus of a state fades while it is visited, also in transitions stored before.
+    - Storing counts the new states and stores their buckets under ``("next", "kind")``.
+    - Reading returns ``("next", "reward")`` = reward + eta / sqrt(n) with the current counts. So
+      the bonus of a state fades with visits, also in transitions stored earlier.
 
-    The stored reward stays the task's, so nothing reported contains the bonus.
+    The stored reward is the task's, so reported rewards exclude the bonus.
 
     Args:
-        features: of an observation F, or which of them are counted, bool [F].
+        features: the number F of features of an observation, or the mask of counted ones, bool [F].
 
     Keyword Args:
-        eta: what the bonus of a state seen once is worth in units of reward; a number or a tensor
-            [*replicas]. Defaults to 1.
-        replicas: shape of the replicas, each with separate counts. Defaults to ().
+        eta: the bonus of a state seen once, in units of reward; a number or a tensor [*replicas].
+            Defaults to 1.
+        replicas: replica shape, each replica with separate counts. Defaults to ().
         buckets: the size of the table. Defaults to 65,536.
         observation_key: the state, under "next".
         reward_key: under "next", the task's reward [*batch, 1].
-        valid_key: bool [*batch], True for the rows that count; all do where it is absent.
-        kind_key: under "next", where the bucket goes, int64 [*batch, 1].
+        valid_key: an optional entry, bool [*batch], True for valid rows.
+        kind_key: under "next", the bucket, int64 [*batch, 1].
 
     Raises:
-        ValueError: for an argument outside of what is listed, or as part of an environment.
+        ValueError: for an invalid argument, or as part of an environment.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -62,7 +62,7 @@ class CountReward(Transform):
     eta: float | Tensor
     _codes: Tensor
     _features: Tensor
-    _given: Tensor
+    _bonus_totals: Tensor
 
     ENV_ERR = "CountReward is a transform of replay buffers, not of an environment"
 
@@ -81,7 +81,7 @@ class CountReward(Transform):
         if isinstance(features, int):
             features = torch.ones(features, dtype=torch.bool)
         if not bool(features.any()):
-            raise ValueError("features must have at least one that is counted, got none")
+            raise ValueError("features must include at least one that is counted, got none")
         check("buckets", buckets, COUNT)
         self.replicas = torch.Size(replicas)
         eta = checked_number("eta", eta, self.replicas, AT_LEAST_ZERO)
@@ -97,24 +97,23 @@ class CountReward(Transform):
         else:
             self.eta = eta
         self.valid_key = valid_key
-        # the same in every run: which kinds share a bucket must not depend on a seed
+        # fixed in every run, so that hash collisions do not depend on the seed
         generator = torch.Generator().manual_seed(0)
         codes = torch.randint(2**62, features.shape, generator=generator)
         self.register_buffer("_codes", codes, persistent=False)
         self.register_buffer("_features", features, persistent=False)
         self.register_buffer("counts", torch.zeros(*self.replicas, buckets, dtype=torch.int64))
-        given = torch.zeros(2, *self.replicas, dtype=torch.float64)
-        self.register_buffer("_given", given, persistent=False)
+        totals = torch.zeros(2, *self.replicas, dtype=torch.float64)
+        self.register_buffer("_bonus_totals", totals, persistent=False)
 
     def pop_metrics(self) -> dict[str, Tensor]:
-        """Returns the mean bonus of what was stored since the last call, and starts anew.
+        """Returns the mean bonus of transitions stored since the last call, and resets it.
 
-        A trainer's metric, "intrinsic_reward" [*replicas], without eta; NaN where nothing was
-        stored.
+        The trainer's metric "intrinsic_reward" [*replicas], without eta; NaN if nothing was stored.
         """
-        total, count = self._given.unbind(0)
+        total, count = self._bonus_totals.unbind(0)
         mean = total / count
-        self._given.zero_()
+        self._bonus_totals.zero_()
         return {"intrinsic_reward": mean}
 
     @torch.no_grad()
@@ -139,11 +138,11 @@ class CountReward(Transform):
         is_counted = valid.bool().to(rows.device).reshape(rows.shape)
         self.counts.scatter_add_(-1, rows, is_counted.long())
         bonus = self.counts.gather(-1, rows).double().clamp_min(1).rsqrt() * is_counted
-        self._given += torch.stack([bonus.sum(-1), is_counted.sum(-1).double()])
+        self._bonus_totals += torch.stack([bonus.sum(-1), is_counted.sum(-1).double()])
         return tensordict.set(kind_key, kind.unsqueeze(-1).to(tensordict.device))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Returns a shallow copy whose reward is reward + eta / sqrt(n); the input stays."""
+        """Returns a shallow copy whose reward is reward + eta / sqrt(n); the input is unchanged."""
         reward_key, kind_key = self.in_keys
         reward, kind = tensordict.get(reward_key), tensordict.get(kind_key, None)
         if kind is None:
@@ -158,7 +157,7 @@ class CountReward(Transform):
         return out.set(reward_key, reward + bonus.reshape(reward.shape).to(reward.device))
 
     def set_container(self, container: Transform | EnvBase) -> None:
-        """Raises ValueError where the container is, or belongs to, an environment."""
+        """Raises ValueError if the container is, or belongs to, an environment."""
         if isinstance(container, EnvBase) or container.parent is not None:
             raise ValueError(self.ENV_ERR)
         super().set_container(container)

@@ -1,4 +1,4 @@
-"""A replay buffer for each replica, read in whole epochs that all replicas share batch by batch."""
+"""Replay buffers of several replicas, read in epochs of shared batches."""
 
 from __future__ import annotations
 
@@ -41,39 +41,38 @@ TRANSITION_KEYS: tuple[NestedKey, ...] = (
 )
 
 _GATHERED_BATCHES = 64
-"""The most batches of a replica that are gathered together: more would take memory for nothing."""
+"""The number of batches gathered at once: more would take memory without saving time."""
 
 
 class ReplicaReplay:
-    """Replay buffers of R replicas: TorchRL's storage, sampler and writer for each.
+    """Replay buffers of R replicas, each with a storage, sampler and writer of TorchRL.
 
-    There are R buffers, and not one of R columns, because replicas play dialogues of different
-    lengths: their buffers fill, turn over and drop what was protected at different times, while
+    R buffers are needed instead of one with R columns because replicas play dialogues of different
+    lengths: their buffers fill up, wrap around and drop protected rows at different times.
     TorchRL's storages, samplers and writers have one length and one cursor, and its
-    ``ReplayBufferEnsemble`` reads equally many rows of each buffer.
+    ``ReplayBufferEnsemble`` reads the same number of rows from each buffer.
 
-    A replica's buffer holds its own transitions only, is shuffled by its own generator and so is
-    independent of what the other replicas do. An epoch is one permutation of each buffer
-    (``SamplerWithoutReplacement``), gathered once and then cut into batches of exactly
-    [replicas, batch_size]: buffers hold different numbers of rows until they are full, so the last
-    batches are padded, ``valid`` says which rows count, and a replica whose epoch is over is
-    marked inactive.
+    A replica's buffer contains its transitions only and is shuffled by a separate generator, so
+    replicas are independent. An epoch is one permutation of each buffer
+    (``SamplerWithoutReplacement``), gathered once and then split into batches of exactly
+    [replicas, batch_size]. Buffers contain different numbers of rows until they are full, so the
+    last batches are padded. ``valid`` marks the rows that are not padding, and a replica whose
+    epoch has ended is marked inactive.
 
     Args:
-        capacity: the most transitions that one replica's buffer holds.
+        capacity: the maximum number of transitions in each buffer.
         replicas: the number of replicas R. Defaults to 1.
-        keys: the entries of a transition that are stored. Defaults to :data:`TRANSITION_KEYS`.
-        transform: as in TorchRL's replay buffers: ``transform.inv`` runs on rows when they are
-            stored, and what it adds (its ``out_keys_inv``) is stored with them; ``transform`` runs
-            on an epoch's rows when they are read. Both see batch size [replicas, rows] with the
-            entry ``valid``. Optional methods of its modules are in
-            :mod:`bbq_torchrl.protocols`.
-        device: where the transitions are kept. Defaults to ``"cpu"``.
+        keys: the entries of a transition to store. Defaults to :data:`TRANSITION_KEYS`.
+        transform: as in TorchRL's replay buffers. ``transform.inv`` runs on rows to be stored, and
+            the entries that it adds (its ``out_keys_inv``) are stored with them; ``transform`` runs
+            on the rows of an epoch. Both get batch size [replicas, rows] with the entry ``valid``.
+            :mod:`bbq_torchrl.protocols` lists the optional methods of its modules.
+        device: the device of the stored transitions. Defaults to ``"cpu"``.
 
     Attributes:
         buffers: TorchRL's ``TensorDictReplayBuffer``, one for each replica.
         keys: the entries that :meth:`extend` reads.
-        stored_keys: those, and what the transform adds.
+        stored_keys: those entries and the ones that the transform adds.
         transform: the transform, or None.
 
     Examples:
@@ -123,51 +122,51 @@ class ReplicaReplay:
 
     @property
     def lengths(self) -> tuple[int, ...]:
-        """The number of transitions that each replica's buffer holds."""
+        """The number of transitions in each replica's buffer."""
         return tuple(len(buffer) for buffer in self.buffers)
 
     @property
     def protected(self) -> tuple[int, ...]:
-        """The number of transitions of each replica that are never evicted."""
+        """The number of protected transitions of each replica, which are never evicted."""
         return tuple(buffer.writer.protected for buffer in self.buffers)
 
     def num_data(self) -> Tensor:
-        """Returns the number of transitions each replica learns from, int64, shape [replicas]."""
+        """Returns the number of transitions that each replica learns from, int64 [replicas]."""
         return torch.tensor(self.lengths, device=self._device)
 
     def seed(self, seeds: Sequence[int]) -> None:
-        """Restarts every replica's shuffling from a separate seed, and drops pending shuffles."""
+        """Reseeds the shuffling of each replica and drops pending permutations."""
         if len(seeds) != self.replicas:
             raise ValueError(
                 f"seeds must be {self.replicas}, one for each replica, got {len(seeds)}"
             )
         for buffer, generator, seed in zip(self.buffers, self._generators, seeds, strict=True):
-            # The sampler draws the next permutation as soon as one is used up. A fresh sampler
-            # forgets it, so that an epoch depends on this seed alone, not on the epochs before.
+            # The sampler draws the next permutation as soon as one is used up. A new sampler
+            # discards it, so that an epoch depends on this seed alone, not on earlier epochs.
             buffer.set_sampler(SamplerWithoutReplacement(drop_last=False))
             buffer.set_rng(generator.manual_seed(checked_seed(seed)))
         for part in modules_with(self.transform, Seeded):
             part.set_seeds(seeds)
 
     def pop_metrics(self) -> dict[str, Tensor]:
-        """Returns metrics that the transform noted since the last call, [replicas] each."""
+        """Returns the transform's metrics since the last call, [replicas] each."""
         found: dict[str, Tensor] = {}
         for part in modules_with(self.transform, Measured):
             found |= part.pop_metrics()
         return found
 
     def extend(self, rows: Sequence[TensorDictBase]) -> None:
-        """Stores each replica's new transitions; the oldest unprotected ones make room.
+        """Stores each replica's new transitions and evicts its oldest unprotected ones if needed.
 
-        Of more rows than the unprotected part of the buffer holds, only the last are stored: the
-        others would be overwritten in the same call.
+        If the rows exceed the unprotected capacity, only the last ones are stored, as they would
+        overwrite the others in the same call.
 
         Args:
-            rows: for each replica, batch size [rows].
+            rows: one TensorDict for each replica, batch size [rows].
 
         Raises:
-            ValueError: if a row could not be learned from (see
-                :func:`~bbq_torchrl.data.validate_transitions`); nothing is stored then.
+            ValueError: if a row is invalid (see
+                :func:`~bbq_torchrl.data.validate_transitions`). Nothing is stored then.
             KeyError: if the rows lack one of the keys.
         """
         if len(rows) != self.replicas or getattr(rows, "ndim", 2) < 2:
@@ -178,7 +177,7 @@ class ReplicaReplay:
         missing = [key for key in self.keys if any(td.get(key, None) is None for td in rows)]
         if missing:
             raise KeyError(
-                f"the rows lack {missing[0]!r}, one of the replay's keys: give it keys=[...] that "
+                f"the rows lack {missing[0]!r}, one of the replay's keys: pass keys=[...] that "
                 "they have"
             )
         selected = [td.select(*self.keys) for td in rows]
@@ -188,7 +187,7 @@ class ReplicaReplay:
         if self.transform is not None:
             for td in selected:
                 td["valid"] = torch.ones(len(td), dtype=torch.bool, device=self._device)
-            # The shorter ones are padded with zeros, which are not valid.
+            # Shorter ones are padded with zeros, marked invalid.
             stacked = self.transform.inv(pad_sequence(selected)).select(*self.stored_keys)
             selected = [stacked[replica, : len(td)] for replica, td in enumerate(selected)]
         self._computed.clear()
@@ -201,7 +200,7 @@ class ReplicaReplay:
         """Protects every transition stored so far from eviction.
 
         Raises:
-            ValueError: if they fill the capacity of a replica.
+            ValueError: if they fill a replica's capacity.
         """
         for buffer in self.buffers:
             buffer.writer.check_room()
@@ -220,30 +219,30 @@ class ReplicaReplay:
                 buffer.extend(rest)
 
     def compute(self, key: NestedKey, function: Callable[[TensorDictBase], Tensor]) -> None:
-        """Computes an entry for every stored transition; epochs hand it out with the others.
+        """Computes an entry of every stored transition, which epochs return with the stored ones.
 
-        It stays until it is computed again, or until transitions are stored or dropped. So what is
-        the same for every batch, such as the values of a frozen network, is computed once, and by
-        few large matrix products in the place of many small ones.
+        It stays until it is computed again, or until transitions are stored or dropped. So values
+        that are the same for every batch, such as those of a frozen network, are computed once,
+        and by few large matrix products instead of many small ones.
 
         Args:
-            key: of the entry; if it is a stored one, epochs hand out the computed values.
+            key: the key of the entry; epochs return it instead of a stored entry of that key.
             function: maps transitions [replicas, rows] to values [replicas, rows, *], row by row.
 
         Raises:
-            ValueError: if a replica has no transition.
+            ValueError: if a replica has no transitions.
         """
         self._check_not_empty()
         self._computed[key] = map_stored_rows(self.buffers, function)
 
     def epoch(self, batch_size: int) -> list[Batch]:
-        """Returns each replica's transitions once, in separate orders, in shared batches.
+        """Returns each replica's transitions once, shuffled separately, in shared batches.
 
         Args:
-            batch_size: the number of rows of a batch for each replica.
+            batch_size: the number of rows per batch and replica.
 
         Raises:
-            ValueError: if ``batch_size`` is not positive or a replica has no transition.
+            ValueError: if ``batch_size`` is not positive or a replica has no transitions.
         """
         self._check_readable(batch_size)
         indices, valid = shuffled_indices(self.buffers, batch_size)
@@ -254,20 +253,20 @@ class ReplicaReplay:
         ]
 
     def batches(self, batch_size: int, count: int) -> Iterator[list[Batch]]:
-        """Yields as many batches for every replica, however many transitions it holds.
+        """Yields ``count`` batches, whatever the number of transitions of each replica.
 
-        Each replica is read pass after pass, every pass in another order; the last one may end
-        anywhere. All batches are full.
+        Each replica is read in passes, every pass shuffled anew; the last pass may be incomplete.
+        All batches are full.
 
         Args:
-            batch_size: the number of rows of a batch for each replica.
+            batch_size: the number of rows per batch and replica.
             count: the number of batches.
 
         Yields:
-            up to 64 batches at a time, which are gathered together.
+            up to 64 batches at a time, gathered together.
 
         Raises:
-            ValueError: if ``batch_size`` is not positive or a replica has no transition.
+            ValueError: if ``batch_size`` is not positive or a replica has no transitions.
         """
         self._check_readable(batch_size)
         indices = repeated_indices(self.buffers, count * batch_size)
@@ -277,7 +276,7 @@ class ReplicaReplay:
             yield [Batch(batch, active) for batch in self._batches(part, valid, batch_size)]
 
     def _batches(self, indices: Tensor, valid: Tensor, batch_size: int) -> Sequence[TensorDictBase]:
-        """Returns the rows at these places, read through the transform and cut into batches."""
+        """Returns the transformed rows at these indices, split into batches."""
         rows: TensorDictBase = gather_rows(
             self.buffers, self.stored_keys, indices, valid, self._computed
         )
@@ -296,11 +295,11 @@ class ReplicaReplay:
     def state_dict(self) -> dict[str, Any]:
         """Returns the transitions, the writers' positions and the transform's state.
 
-        Not the generators: see :meth:`seed`.
+        The generators are not included, see :meth:`seed`.
         """
         state: dict[str, Any] = {}
         for replica, buffer in enumerate(self.buffers):
-            rows: dict[str, Tensor] = {}  # by their flat names, each [rows, ...]
+            rows: dict[str, Tensor] = {}  # by flat name, each [rows, ...]
             if len(buffer):
                 stored = buffer.storage.get(slice(0, len(buffer))).select(*self.stored_keys)
                 rows = dict(stored.flatten_keys("/").items())
@@ -310,11 +309,11 @@ class ReplicaReplay:
         return state
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
-        """Restores what :meth:`state_dict` returned, row for row in the same places.
+        """Restores the state from :meth:`state_dict`, with every row at the same index.
 
         Raises:
-            ValueError: if the state is one of another number of replicas, or one of another
-                capacity that has been filled; nothing is changed then.
+            ValueError: if the state has a different number of replicas, or a different capacity
+                that was filled. Nothing is changed then.
         """
         replicas = sum(name.isdigit() for name in state_dict)
         if replicas != self.replicas:
@@ -324,7 +323,7 @@ class ReplicaReplay:
         for replica in range(self.replicas):
             state = state_dict[str(replica)]
             count = len(next(iter(state["rows"].values()), ()))
-            # where the next row does not go behind the last, the rows filled their buffer
+            # the rows filled their buffer unless the cursor is at their end
             is_full = state["writer"]["_cursor"] != count
             if count > self.capacity or (is_full and count < self.capacity):
                 raise ValueError(
@@ -344,7 +343,7 @@ class ReplicaReplay:
 
 
 def _parts(transform: Transform | None) -> list[Transform]:
-    """Returns the transforms that one consists of."""
+    """Returns the transforms that a transform consists of."""
     if transform is None:
         return []
     return list(transform.transforms) if isinstance(transform, Compose) else [transform]

@@ -1,4 +1,4 @@
-"""The rows of replay buffers: checked, drawn and gathered into batches."""
+"""Validation, sampling and batching of the rows of replay buffers."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ if TYPE_CHECKING:
 
 
 def validate_transitions(rows: TensorDictBase, *, name: str = "transitions") -> None:
-    """Raises if a row could not be learned from; returns nothing otherwise.
+    """Raises ValueError if a row is invalid.
 
-    Every floating entry must be finite. Where the rows have an ``action_mask``, which must be bool,
-    the action (an index, or one-hot) must be allowed by it; where they have ``("next",
-    "action_mask")``, bool too, every row that is not terminated must have some legal next action.
-    One synchronization with the device for all checks together.
+    Every floating-point entry must be finite. If the rows have an ``action_mask``, it must be bool
+    and allow the action (an index, or one-hot). If they have ``("next", "action_mask")``, it must
+    be bool and allow an action in every row that is not terminated. All checks together synchronize
+    with the device once.
 
     Args:
         rows: transitions in TorchRL's layout, batch size [rows].
-        name: what the rows are called in the error message.
+        name: the name of the rows in the error message.
 
     Raises:
         ValueError: names the key, the first bad row and what is allowed.
@@ -76,7 +76,7 @@ def validate_transitions(rows: TensorDictBase, *, name: str = "transitions") -> 
 
 
 def _allowed(action: Tensor, mask: Tensor) -> Tensor:
-    """Returns whether each action (index, or one-hot [rows, N]) is legal, shape [rows]."""
+    """Returns whether each action (an index, or one-hot [rows, N]) is legal, shape [rows]."""
     if action.shape == mask.shape:
         chosen = action.bool()
         return (chosen.sum(-1) == 1) & (chosen & mask).any(-1)
@@ -93,8 +93,8 @@ class Batch(NamedTuple):
 
     Attributes:
         transitions: batch size [replicas, batch_size]; the entry ``valid`` [replicas, batch_size]
-            tells the rows that count from the padding, which repeats a row of the same replica.
-        active: for each replica, whether the batch holds a row of it that counts (on the host).
+            is False for padding, which repeats a row of the same replica.
+        active: for each replica, whether the batch has a valid row of it (on the host).
     """
 
     transitions: TensorDictBase
@@ -104,15 +104,15 @@ class Batch(NamedTuple):
 def shuffled_indices(
     buffers: Sequence[TensorDictReplayBuffer], batch_size: int
 ) -> tuple[Tensor, Tensor]:
-    """Returns the places of an epoch's rows in each buffer, shuffled, and which of them count.
+    """Returns the shuffled indices of an epoch's rows in each buffer, and their validity.
 
     Args:
-        buffers: of each replica; their samplers say in which order.
-        batch_size: rows of a batch for each replica.
+        buffers: the buffers of each replica, whose samplers shuffle.
+        batch_size: the number of rows per batch and replica.
 
     Returns:
-        places, int64, and validity, bool, both [replicas, batches * batch_size]. A buffer with
-        fewer rows than the others is padded with a row of it, which does not count.
+        indices, int64, and validity, bool, both [replicas, batches * batch_size]. A buffer with
+        fewer rows than the others is padded with one of its rows, marked invalid.
     """
     lengths = [len(buffer) for buffer in buffers]
     padded = -(-max(lengths) // batch_size) * batch_size
@@ -120,8 +120,8 @@ def shuffled_indices(
     for buffer, length in zip(buffers, lengths, strict=True):
         index, _ = buffer.sampler.sample(buffer.storage, length)
         indices.append(torch.cat([index, index[:1].expand(padded - length)]))
-    # Filled in, not compared with the lengths: a tensor of them would have to be copied to the
-    # device, and the host would wait for it.
+    # Filled in place: comparing with a tensor of lengths would copy it to the device, and the host
+    # would wait for the copy.
     valid = torch.ones(len(lengths), padded, dtype=torch.bool, device=indices[0].device)
     for replica, length in enumerate(lengths):
         valid[replica, length:].fill_(False)
@@ -129,11 +129,11 @@ def shuffled_indices(
 
 
 def repeated_indices(buffers: Sequence[TensorDictReplayBuffer], count: int) -> Tensor:
-    """Returns the places of ``count`` rows of each buffer, pass after shuffled pass.
+    """Returns the indices of ``count`` rows of each buffer, in shuffled passes.
 
     Args:
-        buffers: of each replica; their samplers say in which order.
-        count: the number of rows, which may be more or fewer than a buffer has.
+        buffers: the buffers of each replica, whose samplers shuffle.
+        count: the number of rows, fewer or more than a buffer has.
 
     Returns:
         int64, shape [replicas, count].
@@ -155,19 +155,19 @@ def gather_rows(
     valid: Tensor,
     computed: Mapping[NestedKey, Tensor],
 ) -> TensorDict:
-    """Returns the rows at these places, batch size [replicas, rows].
+    """Returns the rows at these indices, batch size [replicas, rows].
 
     Args:
-        buffers: of each replica.
-        keys: the entries that are stored.
-        indices: places in each buffer, int64, shape [replicas, rows].
-        valid: the entry of that name, bool, shape [replicas, rows].
-        computed: values [replicas, stored rows, *], in the place of stored ones.
+        buffers: the buffers of each replica.
+        keys: the stored entries.
+        indices: indices into each buffer, int64, shape [replicas, rows].
+        valid: the entry ``valid``, bool, shape [replicas, rows].
+        computed: values [replicas, stored rows, *] that replace stored entries.
     """
     stored = [buffer.storage.get(slice(0, len(buffer))) for buffer in buffers]
     rows = TensorDict({"valid": valid}, valid.shape)
     sources: dict[NestedKey, Sequence[Tensor] | Tensor] = {
-        **{key: [own.get(key) for own in stored] for key in keys},
+        **{key: [entries.get(key) for entries in stored] for key in keys},
         **computed,
     }
     for key, values in sources.items():
@@ -182,20 +182,20 @@ def gather_rows(
 def map_stored_rows(
     buffers: Sequence[TensorDictReplayBuffer], function: Callable[[TensorDictBase], Tensor]
 ) -> Tensor:
-    """Returns a function's values of every stored row, by place: shape [R, rows, *].
+    """Returns a function's values for every stored row, by index: shape [R, rows, *].
 
-    All calls see batches of the same shape, so that what is computed for one replica's row does
-    not depend, down to the last bit, on how many rows another has.
+    All calls get batches of the same shape, so the values of a replica's row do not depend, to the
+    last bit, on how many rows another replica has.
 
     Args:
-        buffers: of R replicas, none of them empty.
+        buffers: the buffers of R replicas, not empty.
         function: maps a TensorDict [R, 512] to a tensor [R, 512, *].
 
     Returns:
-        the values; rows beyond a replica's own, up to the end of the last batch, mean nothing.
+        the values; those beyond the end of a replica's buffer are undefined.
     """
     values = [
-        # lazily: only the entries that the function reads are copied side by side
+        # lazily, so that only the entries that the function reads are stacked
         function(lazy_stack([_rows_from(start, buffer) for buffer in buffers]))
         for start in range(0, max(map(len, buffers)), _ROWS_AT_ONCE)
     ]
@@ -203,7 +203,7 @@ def map_stored_rows(
 
 
 def _rows_from(start: int, buffer: TensorDictReplayBuffer) -> TensorDictBase:
-    """Returns 512 rows of a buffer; its first row is in the place of those that it has not."""
+    """Returns 512 rows of a buffer, padded with its first row."""
     stop = max(start, min(start + _ROWS_AT_ONCE, len(buffer)))
     rows: TensorDictBase = buffer.storage.get(slice(start, stop))
     missing = _ROWS_AT_ONCE - len(rows)

@@ -1,4 +1,4 @@
-"""A round-robin writer that leaves the first rows of a storage alone."""
+"""A round-robin writer that never overwrites the first rows of a storage."""
 
 from __future__ import annotations
 
@@ -11,23 +11,22 @@ from torchrl.data import TensorDictRoundRobinWriter
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
-_PROTECTED = "protected.txt"  # beside the file of TorchRL's writer
+_PROTECTED = "protected.txt"  # in the folder of TorchRL's writer
 
 
 class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
-    """First in, first out, but for the first rows of the storage, which stay.
+    """A first-in, first-out writer that keeps the first rows of the storage.
 
-    Until :meth:`protect` is called it is TorchRL's
-    :class:`~torchrl.data.TensorDictRoundRobinWriter`. Afterwards the rows that the storage held
-    at that moment are never overwritten, and new rows share what is left of the capacity in turn.
-    A replay buffer *spiked* with the dialogues of a rule policy so keeps them for the whole
-    training.
+    Until :meth:`protect` is called, it behaves like TorchRL's
+    :class:`~torchrl.data.TensorDictRoundRobinWriter`. Afterwards the rows in the storage at that
+    moment are never overwritten, and new rows take turns in the remaining capacity. So a replay
+    buffer *spiked* with the dialogues of a rule policy keeps them during all of training.
 
     Attributes:
-        protected: how many rows, from the first, are never overwritten.
+        protected: the number of rows, from the first, that are never overwritten.
 
     Raises:
-        ValueError: if more rows are written at once than there are unprotected ones.
+        ValueError: if more rows are written at once than the unprotected capacity.
 
     Examples:
         >>> import torch
@@ -50,11 +49,11 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
 
     @property
     def unprotected_capacity(self) -> int:
-        """The number of rows of the storage that are written in turn."""
+        """The number of rows of the storage that are written in turns."""
         return int(self._storage.max_size) - self.protected
 
     def check_room(self) -> None:
-        """Raises ValueError if the rows fill the storage: protected, nothing could be written."""
+        """Raises ValueError if the storage is full: protecting all rows would leave no room."""
         rows = len(self._storage)
         if rows >= self._storage.max_size:
             raise ValueError(
@@ -63,7 +62,7 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
             )
 
     def protect(self) -> None:
-        """Protects every row that the storage holds now.
+        """Protects every row that is in the storage now.
 
         Raises:
             ValueError: as :meth:`check_room` does.
@@ -72,8 +71,8 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
         self.protected = self._cursor = len(self._storage)
 
     def oldest_first(self) -> torch.Tensor:
-        """Returns the indices of the unprotected rows from oldest to newest, shape [rows]."""
-        # As long as the storage is not full, the cursor is at its end, and nothing moves.
+        """Returns the indices of the unprotected rows, oldest first, shape [rows]."""
+        # Until the storage is full, the cursor is at its end, and roll changes nothing.
         index = torch.arange(self.protected, len(self._storage))
         return index.roll(self.protected - self._cursor)
 
@@ -82,7 +81,7 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
         return self.extend(data.unsqueeze(0))[0]
 
     def extend(self, data: TensorDictBase) -> torch.Tensor:
-        """Writes rows in turn and returns their indices, shape [rows]."""
+        """Writes rows in turns and returns their indices, shape [rows]."""
         rows, room = len(data), self.unprotected_capacity
         if rows == 0:
             raise ValueError("extend needs at least one row, got 0")
@@ -107,20 +106,20 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
         self.protected = 0
 
     def state_dict(self) -> dict[str, Any]:
-        """Returns the cursor, the count of rows written and the number of protected rows."""
+        """Returns the cursor, the number of rows written and the number of protected rows."""
         return {**super().state_dict(), "_protected": self.protected}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
-        """Restores what :meth:`state_dict` returned."""
+        """Restores the state from :meth:`state_dict`."""
         super().load_state_dict(state_dict)
         self.protected = state_dict["_protected"]
 
     def dumps(self, path: Path | str) -> None:
-        """Writes what :meth:`state_dict` returns into a folder."""
+        """Writes the state from :meth:`state_dict` into a folder."""
         super().dumps(path)
         (Path(path) / _PROTECTED).write_text(f"{self.protected}\n", encoding="utf-8")
 
     def loads(self, path: Path | str) -> None:
-        """Restores what :meth:`dumps` wrote."""
+        """Restores the state written by :meth:`dumps`."""
         super().loads(path)
         self.protected = int((Path(path) / _PROTECTED).read_text(encoding="utf-8"))

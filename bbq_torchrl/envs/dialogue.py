@@ -19,7 +19,7 @@ from bbq_torchrl.envs.turns import (
     checked_batch,
     present_device,
 )
-from bbq_torchrl.seeds import checked_seed, own_seed, seed_of_process
+from bbq_torchrl.seeds import checked_seed, seed_of_process, unshared_seed
 from bbq_torchrl.simulator import ErrorModel, Rewards, Simulator
 
 if TYPE_CHECKING:
@@ -248,7 +248,7 @@ class DialogueEnv(EnvBase):
         # The process that numbers which nobody chose are for, None where somebody did.
         self._unseeded_in = os.getpid() if seed is None else None
         if seed is None:
-            seed = own_seed(int(torch.randint(1 << 62, ())))
+            seed = unshared_seed(int(torch.randint(1 << 62, ())))
         self._generator.manual_seed(checked_seed(seed))
 
     def _reset(

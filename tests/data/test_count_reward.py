@@ -84,7 +84,7 @@ def test_what_was_stored_without_it_is_refused() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"features": torch.zeros(3, dtype=torch.bool)}, "features must have at least one"),
+        ({"features": torch.zeros(3, dtype=torch.bool)}, "features must include at least one"),
         ({"features": 3, "buckets": 0}, "buckets must be an integer from 1"),
         ({"features": 3, "eta": -1.0}, "eta must be"),
     ],

@@ -293,7 +293,7 @@ LACKING = rows(0, 3).exclude(("next", "reward"))
         (lambda replay: next(replay.batches(0, 3)), "batch_size must be at least 1, got 0"),
         (lambda replay: replay.extend([rows(0, 1)]), "a list of 2 TensorDicts, .*, got list of 1"),
         (lambda replay: replay.extend(rows(0, 2)), "one for each replica, got TensorDict of 2"),
-        (lambda replay: replay.extend([rows(0, 3), LACKING]), r"lack .*, .* give it keys=\[\.\.\."),
+        (lambda replay: replay.extend([rows(0, 3), LACKING]), r"lack .*, .* pass keys=\[\.\.\."),
         (lambda replay: replay.seed([1, 2, 3]), "seeds must be 2, one for each replica, got 3"),
         (lambda replay: replay.protect(), "fewer than the capacity 5 of the storage, got 5"),
         (lambda replay: ReplicaReplay(5).epoch(2), EMPTY),
