@@ -1,4 +1,4 @@
-"""VIME (Houthooft et al. 2016): dynamics, their information gain, and the reward it gives."""
+"""VIME (Houthooft et al. 2016): dynamics model, information gain and intrinsic reward."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A Bayesian model of an environment's dynamics: state and action to next state."""
+"""A Bayesian model of an environment's dynamics, from state and action to next state."""
 
 from __future__ import annotations
 
@@ -21,43 +21,43 @@ if TYPE_CHECKING:
 class DynamicsModel(nn.Module):
     """A Bayesian network that predicts the next state (VIME, Houthooft et al. 2016).
 
-    The likelihood of the standardized next state is a Gaussian around the network's output, of
-    standard deviation ``noise_std`` in every feature and independent between features. States are
-    standardized by running statistics of each replica, see :meth:`standardize`; what
-    stores transitions (:class:`~bbq_torchrl.vime.VIMEReward`) updates them, a loss never does. They
-    are not TorchRL's ``RunningMeanStd``: that has one statistic for all leading dimensions, counts
+    The likelihood of the standardized next state is a Gaussian around the network's output with
+    standard deviation ``noise_std``, independent for each feature. States are standardized by
+    running statistics of each replica, see :meth:`standardize`. Storing transitions
+    (:class:`~bbq_torchrl.vime.VIMEReward`) updates the statistics; losses only read them. TorchRL's
+    ``RunningMeanStd`` does not fit: it shares its statistics over all leading dimensions, counts
     every row, and has no floor.
 
     Args:
         observation_size: features of a state, S.
-        action_size: number of discrete actions, or size of a continuous one, A.
+        action_size: number of discrete actions, or size of a continuous action, A.
         hidden: sizes of the hidden layers. Defaults to (64, 64).
 
     Keyword Args:
-        replicas: leading shape; an independent model for each. Defaults to ().
+        replicas: leading shape of independent models. Defaults to ().
         prior_std: standard deviation of the weights' prior, or "fan_in", as in
             :class:`~bbq_torchrl.bayes.BayesMLP`. Defaults to 0.1.
         noise_std: standard deviation of the likelihood, in units of the standardized state.
             Defaults to 1.
-        std_floor: the least standard deviation that a feature is divided by. A feature that was
-            constant until now and changes in one row in a thousand would have .03, and one that
-            never changed 0: a single appearance would outweigh everything else. Defaults to 0.05.
-        mean_init: "kaiming" or "zero". With zero means no error reaches the hidden layers, and
-            every gain comes from the last bias until training has broken the tie. Defaults to
+        std_floor: the minimum standard deviation that a feature is divided by. A feature that
+            changes in one row of a thousand has a standard deviation of 0.03, a constant one 0, so
+            without a floor a single change would outweigh everything else. Defaults to 0.05.
+        mean_init: "kaiming" or "zero". With zero means no error reaches the hidden layers, and all
+            gain comes from the last bias until training breaks the symmetry. Defaults to
             "kaiming".
-        std_init: standard deviation of the weights to start with; None for the prior's. Defaults to
+        std_init: initial standard deviation of the weights; None for the prior's. Defaults to
             None.
-        device: of parameters and buffers.
-        dtype: of parameters and buffers.
+        device: device of parameters and buffers.
+        dtype: dtype of parameters and buffers.
 
     Attributes:
         network: the :class:`~bbq_torchrl.bayes.BayesMLP`, S + A inputs and S outputs.
-        mean: buffer [*replicas, S], running mean of each feature, 0 at first.
-        var: buffer [*replicas, S], running (population) variance, 1 at first.
-        count: int64 buffer [*replicas], number of states that both are taken over.
+        mean: buffer [*replicas, S], running mean of each feature, initially 0.
+        var: buffer [*replicas, S], running (population) variance, initially 1.
+        count: int64 buffer [*replicas], the number of states in both statistics.
 
     Raises:
-        ValueError: for an argument outside of what is listed.
+        ValueError: for an invalid argument.
 
     Examples:
         >>> import torch
@@ -120,7 +120,7 @@ class DynamicsModel(nn.Module):
         return self.network.replicas
 
     def reset_parameters(self) -> None:
-        """Starts the weights again; the statistics stay."""
+        """Initializes the weights again; the statistics are unchanged."""
         self.network.reset_parameters()
 
     # -- statistics -------------------------------------------------------------------------
@@ -132,12 +132,12 @@ class DynamicsModel(nn.Module):
 
     @torch.no_grad()
     def update_statistics(self, observation: Tensor, valid: Tensor | None = None) -> None:
-        """Takes states into the running mean and variance (Welford's parallel algorithm).
+        """Updates the running mean and variance (Welford's parallel algorithm).
 
         Args:
             observation: shape [*replicas, *rows, S].
-            valid: bool [*replicas, *rows], True for the rows that count; None for all. The others
-                may hold anything, and a replica without one keeps its statistics bitwise.
+            valid: bool [*replicas, *rows], True for valid rows; None for all. Other rows may
+                contain anything, and a replica without valid rows keeps its statistics bitwise.
         """
         x = self._rows(observation).reshape(*self.replicas, -1, self.observation_size)
         if valid is None:
@@ -161,13 +161,13 @@ class DynamicsModel(nn.Module):
     def standardize(self, observation: Tensor) -> Tensor:
         """Returns (observation - mean) / max(std, std_floor), shape [*replicas, *rows, S].
 
-        The identity before the first :meth:`update_statistics`.
+        This is the identity before the first :meth:`update_statistics`.
 
         Args:
             observation: shape [*replicas, *rows, S], of any dtype.
 
         Raises:
-            ValueError: if the shape does not fit.
+            ValueError: for a wrong shape.
         """
         mean, std = (each.reshape(-1, 1, self.observation_size) for each in (self.mean, self.std))
         return ((self._rows(observation) - mean) / std).reshape(observation.shape)
@@ -180,16 +180,16 @@ class DynamicsModel(nn.Module):
     # -- network ----------------------------------------------------------------------------
 
     def encode_action(self, action: Tensor, rows: Sequence[int]) -> Tensor:
-        """Returns the action as the network reads it, shape [*rows, A] in its dtype.
+        """Returns the action as the network's input, shape [*rows, A] in the model's dtype.
 
         Args:
             action: an index, shape [*rows] or [*rows, 1]; one-hot, bool or integer [*rows, A]; or
-                floating [*rows, A], which is taken as it is (one-hot or continuous). An index of
-                no action, which a row that does not count may have, gives zeros.
+                floating-point [*rows, A] (one-hot or continuous), which is not changed. An invalid
+                index, as in an invalid row, becomes zeros.
             rows: the batch shape.
 
         Raises:
-            ValueError: if the shape does not fit.
+            ValueError: for a wrong shape.
         """
         rows = tuple(rows)
         size, dtype = self.action_size, self.mean.dtype
@@ -200,11 +200,11 @@ class DynamicsModel(nn.Module):
                 f"action must be an index of shape {list(rows)} or have shape "
                 f"{[*rows, size]}, got {action.dtype} {list(action.shape)}"
             )
-        places = torch.arange(size, device=action.device)
-        return (action.reshape(*rows, 1) == places).to(dtype)
+        indices = torch.arange(size, device=action.device)
+        return (action.reshape(*rows, 1) == indices).to(dtype)
 
     def inputs(self, observation: Tensor, action: Tensor) -> Tensor:
-        """Returns what the network reads, [*replicas, *rows, S + A]: standardized state and action.
+        """Returns the network's input, standardized state and action, [*replicas, *rows, S + A].
 
         Args:
             observation: shape [*replicas, *rows, S].
@@ -225,8 +225,8 @@ class DynamicsModel(nn.Module):
         Args:
             observation: state, shape [*replicas, *rows, S].
             action: as in :meth:`encode_action`.
-            mode: as in :meth:`BayesMLP.forward`.
-            weights: as in :meth:`BayesMLP.forward`.
+            mode: as in :meth:`BayesLayer.forward`.
+            weights: as in :meth:`BayesLayer.forward`.
         """
         return self.network(self.inputs(observation, action), mode, weights)
 

@@ -26,38 +26,37 @@ if TYPE_CHECKING:
 
 
 class DynamicsLoss(NumData, LossModule):
-    """Negative evidence bound of a dynamics model, per transition.
+    """The negative evidence lower bound of a dynamics model, per transition.
 
     For N transitions in the buffer each model's loss is
 
         mean over the batch of Σ_features (s' - ŝ'(s, a; w))² / (2 noise_std²)
             + kl_temperature · KL / N
 
-    in standardized states, up to a constant, with one draw w of the weights a batch. Of a
-    terminated transition nothing is predicted: it adds 0 to the sum and counts as a row, so that
-    N is the length of the buffer and data and KL weigh as Bayes' rule has it. Rows can be left
-    out altogether: ``loss_mask_key`` (TorchRL's attribute, here "valid" by default, an optional
-    entry) names a bool [*replicas, *batch] entry that is True for the rows that count. The weights
-    that prioritized replay gives the rows weigh them here as in the Q-learning losses.
+    in standardized states, up to a constant, with one weight draw w per batch. Terminated
+    transitions are not predicted: they add 0 to the sum but count as rows, so N is the length of
+    the buffer, and Bayes' rule weighs data and KL. Rows can be left out: ``loss_mask_key``
+    (TorchRL's attribute, by default "valid") names an optional bool entry [*replicas, *batch] that
+    is True for valid rows. The weights of prioritized replay apply as in the Q-learning losses.
 
     Reads a TensorDict [*replicas, *batch] with the observation, the action, and under "next" the
-    observation and terminated [*replicas, *batch, 1]. Each replica has a loss of its
-    own; ``loss`` is their sum, so that no replica's gradient depends on another's data. The
-    model's running statistics are read, not changed.
+    observation and terminated [*replicas, *batch, 1]. ``loss`` is the sum of the replicas' losses,
+    so no replica's gradient depends on another's data. The model's running statistics are read, not
+    changed.
 
     Args:
-        dynamics: the model, which the intrinsic reward shares; a submodule of the loss.
+        dynamics: the model, shared with the intrinsic reward; a submodule of the loss.
 
     Keyword Args:
         kl_temperature: factor of the KL; 1 is Bayes' rule. Defaults to 1.
-        every: trains the dynamics every this many batches; on the others "loss" is 0 and the last
-            metrics are reported again. The count is part of the state, and :meth:`begin_epoch`
-            restarts it. Defaults to 1.
-        num_data: N, for each replica or one for all; see :meth:`set_num_data`,
-            which is to be called before the first loss where this is None.
+        every: trains the dynamics every this many batches. For other batches "loss" is 0 and the
+            last metrics are reported again. The batch count is part of the state, and
+            :meth:`begin_epoch` restarts it. Defaults to 1.
+        num_data: N, a number or a tensor [*replicas]. If None, call :meth:`set_num_data` before
+            the first loss.
 
     Raises:
-        ValueError: for an argument outside of what is listed.
+        ValueError: for an invalid argument.
 
     Examples:
         >>> import torch
@@ -84,7 +83,7 @@ class DynamicsLoss(NumData, LossModule):
             observation: the state, at the root and under "next".
             action: an index, or a vector such as one-hot.
             terminated: read under "next".
-            priority_weight: how much a row counts, as prioritized replay writes it; may be absent.
+            priority_weight: the optional row weights of prioritized replay.
         """
 
         observation: NestedKey = "observation"
@@ -111,7 +110,7 @@ class DynamicsLoss(NumData, LossModule):
         super().__init__()
         self.dynamics = dynamics
         self.every = every
-        # on the host: whether a batch is skipped must not wait for a device
+        # on the host, so that skipping a batch does not wait for the device
         self.batches = 0
         self.replicas = dynamics.replicas
         self.kl_temperature = kl_temperature
@@ -132,15 +131,15 @@ class DynamicsLoss(NumData, LossModule):
         self._set_in_keys()
 
     def reset_parameters_recursive(self) -> None:
-        """Starts the model's weights again."""
+        """Initializes the model's weights again."""
         self.dynamics.reset_parameters()
 
     def begin_epoch(self) -> None:
-        """Trains the dynamics on the next batch, and from there on every ``every`` batches.
+        """Restarts the schedule: the next batch trains the dynamics, and then every ``every``-th.
 
-        To be called before each epoch where the replicas have epochs of different lengths
-        (:class:`~bbq_torchrl.data.ReplicaReplay`), or the length of one replica's epoch decides
-        which batches of the next the others' dynamics learn from.
+        Call it before each epoch if the replicas' epochs differ in length
+        (:class:`~bbq_torchrl.data.ReplicaReplay`). Otherwise the length of one replica's epoch
+        would decide which batches of the next epoch train the dynamics of the others.
         """
         self.batches = 0
 
@@ -149,7 +148,7 @@ class DynamicsLoss(NumData, LossModule):
         return torch.tensor(self.batches)
 
     def set_extra_state(self, state: Tensor) -> None:
-        """Restores what :meth:`get_extra_state` returned."""
+        """Restores the state from :meth:`get_extra_state`."""
         self.batches = int(state)
 
     @dispatch  # type: ignore[untyped-decorator]
@@ -164,7 +163,7 @@ class DynamicsLoss(NumData, LossModule):
             "dynamics_loss" and "dynamics_kl" (in nats), each [*replicas].
 
         Raises:
-            RuntimeError: if N is not known.
+            RuntimeError: if N is unknown.
         """
         self._check_num_data()
         is_due = self.batches % self.every == 0
@@ -176,7 +175,7 @@ class DynamicsLoss(NumData, LossModule):
         )
 
     def _loss(self, tensordict: TensorDictBase) -> Tensor:
-        """Returns the sum of the replicas' losses, and notes what is to be reported."""
+        """Returns the sum of the replicas' losses, and records the metrics."""
         observation, action, following, terminated = (tensordict[key] for key in self.in_keys)
         rows = observation.shape[:-1]
         predicted = ~terminated.bool().reshape(*rows, 1)
@@ -185,7 +184,7 @@ class DynamicsLoss(NumData, LossModule):
         if weight is not None:
             counts = weight != 0
             predicted = predicted & counts
-            # Select before anything is multiplied: a row that does not count may hold anything.
+            # Mask before multiplying: an ignored row may contain anything.
             inputs = torch.where(counts, inputs, 0)
         kl_sum = KLSum()
         with weight_scope("draw", kl=kl_sum):
@@ -196,7 +195,7 @@ class DynamicsLoss(NumData, LossModule):
         if weight is not None:
             weight = weight.squeeze(-1).to(square.dtype)
             square = square * weight
-            # 0 / tiny where no row counts at all
+            # 0 / tiny without valid rows
             number = self._flat(weight).sum(-1).clamp_min(torch.finfo(weight.dtype).tiny)
         sums = self._flat(square).sum(-1) * (0.5 / self.dynamics.noise_std**2)
         kl = kl_sum.total()
@@ -210,9 +209,9 @@ class DynamicsLoss(NumData, LossModule):
 
 
 def vime_losses(q_loss: nn.Module, dynamics_loss: DynamicsLoss) -> nn.ModuleDict:
-    """Returns a Q-learning loss and the dynamics' loss, for a trainer of several losses.
+    """Returns a Q-learning loss and the dynamics' loss, to be trained together.
 
-    Its state is that of 0.1's ``VIMELoss``, whose states it reads, too.
+    States of 0.1's ``VIMELoss`` can be loaded too.
     """
     losses = nn.ModuleDict({"q_loss": q_loss, "dynamics_loss": dynamics_loss})
     losses.register_load_state_dict_pre_hook(_read_old_state)
@@ -222,7 +221,7 @@ def vime_losses(q_loss: nn.Module, dynamics_loss: DynamicsLoss) -> nn.ModuleDict
 def _read_old_state(
     losses: nn.Module, state: MutableMapping[str, Any], prefix: str, *_: Any
 ) -> None:
-    """Renames the entries that ``VIMELoss`` had besides those of its two losses."""
+    """Renames the entries of ``VIMELoss`` outside its two losses."""
     for old, new in (("held", "reported"), ("_extra_state", "_extra_state")):
         if f"{prefix}{old}" in state:
             state[f"{prefix}dynamics_loss.{new}"] = state.pop(f"{prefix}{old}")

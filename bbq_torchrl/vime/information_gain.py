@@ -1,20 +1,20 @@
-r"""How much a transition would teach a Bayesian model of the dynamics, in closed form.
+r"""The information gain of a transition about a Bayesian dynamics model, in closed form.
 
 The information gain of a transition is the divergence of the posterior after learning from it
 from the posterior before. One natural-gradient step of length λ on the loss -log p(s'|s, a; w),
-w = μ + σ ε, moves the variational parameters by -λ H⁻¹ g, where H is the Hessian of that very
-divergence: it is diagonal, 1/σ² for μ and 2 (dσ/dρ)²/σ² for ρ, and so to second order
+w = μ + σ ε, moves the variational parameters by -λ H⁻¹ g, where H is the Hessian of this
+divergence. It is diagonal, 1/σ² for μ and 2 (dσ/dρ)²/σ² for ρ, so to second order
 
     gain = ½ λ² gᵀ H⁻¹ g     (VIME, Houthooft et al. 2016, section 2.3).
 
-With g_μ = g_w and g_ρ = g_w ε dσ/dρ the slope of σ cancels, and a weight adds g_w² σ² (1 + ε²/2).
-In a layer g_w is the product of its input a and its output's error δ, so that the sum over its
-matrix needs no gradient of a single transition, only one more matrix product for all of them:
+With g_μ = g_w and g_ρ = g_w ε dσ/dρ, dσ/dρ cancels, and a weight adds g_w² σ² (1 + ε²/2). In a
+layer g_w is the product of its input a and its output's error δ. So the sum over its matrix needs
+no gradients of single transitions, only one more matrix product for all of them:
 
     gain = ½ λ² Σ_layers Σ_j δ_j² [ Σ_i a_i² σ_ij² (1 + ε_ij²/2) + σ_bj² (1 + ε_bj²/2) ].
 
-The gradient of the prior's term is left out because the prior of a step is the posterior before
-it, where that gradient is 0.
+The prior's term is left out: the prior of a step is the posterior before it, where the gradient of
+this term is 0.
 
 Gains are measured in units of a running median, :class:`RunningMedian`.
 """
@@ -47,7 +47,7 @@ def information_gain(
     noise: Tensor | None = None,
     step_size: float = 0.01,
 ) -> Tensor:
-    """Returns the information gain of each transition, [*replicas, *rows], in nats; no gradients.
+    """Returns the information gain of each transition, [*replicas, *rows], in nats, detached.
 
     Args:
         dynamics: the model and its posterior.
@@ -56,12 +56,12 @@ def information_gain(
         next_observation: next state, shape [*replicas, *rows, S].
 
     Keyword Args:
-        noise: ε, shape [*replicas, P], a draw of the weights that all rows share; None for the gain
+        noise: ε, shape [*replicas, P], the noise of one weight draw for all rows; None for the gain
             at the mean, ε = 0.
         step_size: λ; the gain is proportional to its square. Defaults to 0.01.
 
     Raises:
-        ValueError: if a shape does not fit.
+        ValueError: for a wrong shape.
 
     Examples:
         >>> import torch
@@ -101,25 +101,25 @@ def information_gain(
         gain += spread.mul_(error.square()).sum(-1)
         if k > 0:
             error = torch.bmm(error, matrices[k].mT).mul_(inputs[k] > 0)
-    # a posterior so wide that the sum overflows is as surprised as a number can tell
+    # where the posterior is so wide that the sum overflows, the gain is the largest float
     gain = gain.mul_(0.5 * step_size**2).clamp_max_(torch.finfo(gain.dtype).max)
     return gain.reshape(x.shape[:-1])
 
 
 class RunningMedian(nn.Module):
-    """The median of the medians of the last calls, each replica its own.
+    """The median of the medians of the last calls, for each replica.
 
-    A median neither depends on the order of the values nor on how many do not count, so that
-    replicas stay independent to the bit. (Of an even number of values it is the lower one.)
+    A median depends neither on the order of the values nor on the number of invalid ones, so
+    replicas stay independent to the bit. (For an even number of values it is the lower one.)
 
     Args:
         replicas: leading shape.
-        window: how many calls count, at least 1.
-        like: a tensor of the wanted dtype and device.
+        window: the number of calls, at least 1.
+        like: a tensor with the dtype and device of the buffers.
 
     Attributes:
-        medians: buffer [*replicas, window], the medians of the last calls, overwritten in turn.
-        calls: int64 buffer [*replicas], how many calls had a value that counts.
+        medians: buffer [*replicas, window], the medians of the last calls, overwritten in turns.
+        calls: int64 buffer [*replicas], the number of calls with a valid value.
 
     Examples:
         >>> import torch
@@ -141,22 +141,22 @@ class RunningMedian(nn.Module):
 
     @torch.no_grad()
     def update(self, values: Tensor, counts: Tensor | None = None) -> Tensor:
-        """Takes values in and returns the median of the last medians, [*replicas]; NaN without any.
+        """Adds values and returns the median of the last medians, [*replicas]; NaN without values.
 
         Args:
-            values: shape [*replicas, n]; NaN does not count.
-            counts: bool [*replicas, n], True for the values that count; None for all. A replica
-                without one keeps what it has.
+            values: shape [*replicas, n]; NaN is ignored.
+            counts: bool [*replicas, n], True for valid values; None for all. A replica without
+                valid values keeps its state.
         """
         window = self.medians.shape[-1]
         if counts is not None:
             values = torch.where(counts, values, torch.nan)
         median = values.nanmedian(-1, keepdim=True).values
         calls = self.calls.unsqueeze(-1)
-        places = torch.arange(window, device=values.device)
+        slots = torch.arange(window, device=values.device)
         is_new = ~median.isnan()
-        here = is_new & (places == calls % window)
+        here = is_new & (slots == calls % window)
         self.medians.copy_(torch.where(here, median, self.medians))
         calls = calls + is_new
         self.calls.copy_(calls.squeeze(-1))
-        return torch.where(places < calls, self.medians, torch.nan).nanmedian(-1).values
+        return torch.where(slots < calls, self.medians, torch.nan).nanmedian(-1).values

@@ -1,4 +1,4 @@
-"""An intrinsic reward besides the task's in a replay buffer (VIME, Houthooft et al. 2016)."""
+"""An intrinsic reward for transitions in a replay buffer (VIME, Houthooft et al. 2016)."""
 
 from __future__ import annotations
 
@@ -26,67 +26,64 @@ if TYPE_CHECKING:
 
 GainWeights = Literal["map", "mc"]
 
-_PIECE = 256  # rows worked on at a time, so that none depends on how many others there are
+_PIECE = 256  # rows processed at once, so that a row does not depend on the number of others
 
 
 class VIMEReward(Transform):
-    r"""Gives each stored transition the information gain of a dynamics model as a bonus.
+    r"""Adds the information gain of a dynamics model to each stored transition as a bonus.
 
-    A transform of a replay buffer, not of an environment:
+    This is a transform of a replay buffer, not of an environment:
 
-    - Storing, it takes the new states into the model's running statistics, computes the gain of
-      each new transition under the posterior as it is now
-      (:func:`~bbq_torchrl.vime.information_gain`), and stores
+    - Storing adds the new states to the model's running statistics, computes the gain of each new
+      transition under the current posterior (:func:`~bbq_torchrl.vime.information_gain`), and
+      stores
 
           bonus = min(gain / m, clip),  m = median of the last ``median_window`` stores' medians,
 
-      under ``("next", "intrinsic_reward")``, beside the task's reward, which stays what it is:
-      nothing that is reported from stored or played transitions contains the bonus. The gain is
-      what the transition taught when it was new, and is not computed again.
-    - Reading, it returns the transitions with ``("next", "reward")`` = task reward + eta · bonus
-      for the loss. What was read is not changed, so it may be read again. It holds both the sum
-      and the bonus: to copy a buffer, store what its ``storage`` holds
-      (``other.extend(buffer.storage[:])``), not what the buffer returns (``buffer[:]``), to which
-      the bonus would be added a second time.
+      under ``("next", "intrinsic_reward")``. The stored reward is the task's, so reported rewards
+      exclude the bonus. The gain is that of the new transition and is not computed again.
+    - Reading returns transitions with ``("next", "reward")`` = task reward + eta · bonus. The
+      stored transitions are unchanged and can be read again. A read transition has both the sum
+      and the bonus, so copy a buffer from its ``storage`` (``other.extend(buffer.storage[:])``).
+      Storing ``buffer[:]`` would add the bonus a second time.
 
-    This store's own median is among those that m is taken over. So m is known from the first
-    store on, and a model that has not learned anything yet gives its transitions a bonus around
-    1: transitions stored beforehand (a spiked buffer) are neither preferred to later ones nor put
-    at a disadvantage. As the gain of everything falls while the model learns, m follows, and what
-    decides is how much more than usual a transition taught. The step λ cancels in it.
+    m includes the median of the current store. So m is defined from the first store on, and an
+    untrained model gives a bonus around 1: earlier transitions (a spiked buffer) have neither an
+    advantage nor a disadvantage. As the model learns, all gains fall and m follows, so the bonus
+    measures the gain relative to the usual. The step size λ cancels.
 
-    Terminated transitions get 0, as the model does not predict them, and are not in the medians;
-    nor are rows that do not count (``valid_key``, an optional entry). Transitions that come with a
-    bonus keep it and leave statistics and medians alone.
+    Terminated transitions get a bonus of 0, as the model does not predict them, and are excluded
+    from the medians, as are invalid rows (``valid_key``). Transitions that already have a bonus
+    keep it and do not change statistics or medians.
 
-    Replicas are independent: none's bonus depends, to the bit, on another's
+    Replicas are independent: a replica's bonuses do not depend, to the bit, on another's
     transitions or on the number of rows.
 
     Args:
-        dynamics: the model; also to be given to a :class:`~bbq_torchrl.vime.DynamicsLoss`.
+        dynamics: the model; pass it to a :class:`~bbq_torchrl.vime.DynamicsLoss` too.
 
     Keyword Args:
-        eta: η, what a bonus of 1 is worth in units of the task reward; a number or a tensor
+        eta: η, the worth of a bonus of 1 in units of the task reward; a number or a tensor
             [*replicas]. Defaults to 0.1.
-        weights: "map", the gain at the posterior's mean, or "mc", at one weight draw for each
-            store, shared by its transitions. Defaults to "map".
+        weights: "map", the gain at the posterior's mean, or "mc", at one weight draw per store,
+            shared by its transitions. Defaults to "map".
         step_size: λ of the gain. Defaults to 0.01.
         normalize: whether the gain is divided by m. Defaults to True.
-        median_window: how many stores m is taken over; more if each holds only a few
-            transitions. Defaults to 10.
-        clip: the greatest bonus. Defaults to 10.
+        median_window: the number of stores in m; use more if each has only a few transitions.
+            Defaults to 10.
+        clip: the maximum bonus. Defaults to 10.
         observation_key: the state, at the root and under "next".
-        action_key: index or vector, as :meth:`DynamicsModel.encode_action` takes it.
+        action_key: an index or vector, see :meth:`DynamicsModel.encode_action`.
         reward_key: under "next", the task's reward [*batch, 1] or [*batch].
         terminated_key: under "next", bool [*batch, 1].
-        valid_key: bool [*batch], True for the rows that count; all do where it is absent.
-        intrinsic_reward_key: under "next", where the bonus goes, [*batch, 1].
+        valid_key: an optional entry, bool [*batch], True for valid rows.
+        intrinsic_reward_key: under "next", the bonus, [*batch, 1].
 
     Attributes:
         median: m, a :class:`~bbq_torchrl.vime.information_gain.RunningMedian`, with its buffers.
 
     Raises:
-        ValueError: for an argument outside of what is listed, or as part of an environment.
+        ValueError: for an invalid argument, or as part of an environment.
 
     Examples:
         >>> import torch
@@ -108,7 +105,7 @@ class VIMEReward(Transform):
         True
     """
 
-    _given: Tensor
+    _bonus_totals: Tensor
     eta: float | Tensor
 
     ENV_ERR = (
@@ -158,33 +155,33 @@ class VIMEReward(Transform):
         self.clip = clip
         self.valid_key = valid_key
         self.median = RunningMedian(dynamics.replicas, median_window, dynamics.mean)
-        # sum and number of the bonuses since they were last reported; not worth a checkpoint
-        self.register_buffer(
-            "_given", dynamics.mean.new_zeros((2, *dynamics.replicas)).double(), persistent=False
-        )
+        # sum and number of the bonuses since the last report; not worth a checkpoint
+        totals = dynamics.mean.new_zeros((2, *dynamics.replicas)).double()
+        self.register_buffer("_bonus_totals", totals, persistent=False)
         self._generators: list[torch.Generator] | None = None
 
     def pop_metrics(self) -> dict[str, Tensor]:
-        """Returns the mean bonus of what was stored since the last call, and starts anew.
+        """Returns the mean bonus of transitions stored since the last call, and resets it.
 
-        A trainer's metric, "intrinsic_reward" [*replicas]: the mean over the transitions that
-        count, without eta, terminal ones included with their 0; NaN where nothing was stored.
+        The trainer's metric "intrinsic_reward" [*replicas]: the mean over valid transitions without
+        eta, including terminal ones with 0; NaN if nothing was stored.
         """
-        total, count = self._given.unbind(0)
+        total, count = self._bonus_totals.unbind(0)
         mean = total / count
-        self._given.zero_()
+        self._bonus_totals.zero_()
         return {"intrinsic_reward": mean}
 
     def set_seeds(self, seeds: Sequence[int]) -> None:
-        """Restarts the random numbers of "mc", each replica its own.
+        """Reseeds the random numbers of "mc" of each replica.
 
-        Before the first call they come from torch's global generator. States do not hold them.
+        Before the first call they come from torch's global generator. States do not include the
+        generators.
 
         Args:
-            seeds: one for each replica, in order; one if there are none.
+            seeds: one for each replica, in order; a single one for replicas=().
 
         Raises:
-            ValueError: for another number of seeds.
+            ValueError: for a wrong number of seeds.
         """
         count = prod(self.dynamics.replicas)
         if len(seeds) != count:
@@ -198,7 +195,7 @@ class VIMEReward(Transform):
 
     @torch.no_grad()
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Returns the transitions with their bonus; ``inv`` has made a shallow copy before."""
+        """Returns the transitions with their bonus; ``inv`` passes a shallow copy."""
         (bonus_key,) = self.out_keys_inv
         if tensordict.get(bonus_key, None) is not None:
             return tensordict
@@ -212,17 +209,17 @@ class VIMEReward(Transform):
         observation, action, following, terminated = (
             tensordict[key].to(self.dynamics.mean.device) for key in self.in_keys_inv
         )
-        is_going_on = ~terminated.bool().reshape(batch)
+        is_continuing = ~terminated.bool().reshape(batch)
         valid = tensordict.get(self.valid_key, None)
         if valid is None:
-            valid = torch.ones_like(is_going_on)
-        valid = valid.bool().reshape(batch).to(is_going_on.device)
+            valid = torch.ones_like(is_continuing)
+        valid = valid.bool().reshape(batch).to(is_continuing.device)
         rows = [
             observation,
             self.dynamics.encode_action(action, batch),
             following,
             valid.unsqueeze(-1),
-            (valid & is_going_on).unsqueeze(-1),
+            (valid & is_continuing).unsqueeze(-1),
         ]
         rows = [entry.reshape(*replicas, -1, entry.shape[-1]) for entry in rows]
         _refuse_infinite(*rows)
@@ -237,7 +234,7 @@ class VIMEReward(Transform):
         valid: Tensor,
         predicted: Tensor,
     ) -> Tensor:
-        """Returns the bonus [*replicas, rows] of entries [*replicas, rows, *]."""
+        """Returns the bonus, [*replicas, rows], from entries [*replicas, rows, *]."""
         count = observation.shape[-2]
         if count == 0:
             return self.dynamics.mean.new_zeros(observation.shape[:-1])
@@ -256,11 +253,11 @@ class VIMEReward(Transform):
         is_predicted = predicted.squeeze(-1)
         if self.normalize:
             median = self.median.update(gain, is_predicted).unsqueeze(-1)
-            # where more than half of the gains are 0, any other is clipped
+            # if more than half of the gains are 0, the other ones are clipped
             gain = gain / median.clamp_min(torch.finfo(gain.dtype).tiny)
         bonus = torch.where(is_predicted, gain.clamp_max(self.clip), 0)
-        # cumsum adds from left to right: the 0 of the padding at the end change no digit
-        self._given += torch.stack(
+        # cumsum adds from left to right, so the zeros of the padding at the end change no bit
+        self._bonus_totals += torch.stack(
             [bonus.double().cumsum(-1)[..., -1], valid.squeeze(-1).sum(-1).double()]
         )
         return bonus
@@ -293,7 +290,7 @@ class VIMEReward(Transform):
         return out.set(reward_key, torch.addcmul(reward, bonus, eta))
 
     def set_container(self, container: Transform | EnvBase) -> None:
-        """Raises ValueError where the container is, or belongs to, an environment."""
+        """Raises ValueError if the container is, or belongs to, an environment."""
         if isinstance(container, EnvBase) or container.parent is not None:
             raise ValueError(self.ENV_ERR)
         super().set_container(container)
@@ -305,21 +302,21 @@ class VIMEReward(Transform):
 def _refuse_infinite(
     observation: Tensor, action: Tensor, following: Tensor, valid: Tensor, predicted: Tensor
 ) -> None:
-    """Raises ValueError for a row that the statistics could never lose again."""
+    """Raises ValueError for a row that would spoil the running statistics for good."""
     known = torch.cat([observation, action], -1).isfinite().all(-1, keepdim=True)
     bad = (valid & ~known) | (predicted & ~following.isfinite().all(-1, keepdim=True))
     if bool(bad.any()):
         raise ValueError(
-            "states and actions must be finite in the rows that count, but "
+            "states and actions must be finite in valid rows, but "
             f"{int(bad.sum())} of {int(valid.sum())} rows are not"
         )
 
 
 def _pieces(replicas: Sequence[int], *entries: Tensor) -> Iterator[list[Tensor]]:
-    """Yields entries [*replicas, rows, *] some rows at a time.
+    """Yields entries [*replicas, rows, *] in pieces of rows.
 
-    With more than one replica the last piece is filled up: what a matrix product rounds to depends
-    on its shape, and a row's must not depend on how many rows another replica has.
+    With more than one replica the last piece is padded. The rounding of a matrix product depends on
+    its shape, and a row must not depend on how many rows another replica has.
     """
     if prod(replicas) > 1:
         missing = -entries[0].shape[-2] % _PIECE

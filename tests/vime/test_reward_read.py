@@ -103,7 +103,7 @@ def test_rows_that_do_not_fit_are_refused():
 def test_rows_that_are_not_finite_are_refused_and_leave_the_model_alone():
     vime, bad = transform(), transitions(3)
     bad["observation"][1] = torch.nan
-    with pytest.raises(ValueError, match="must be finite in the rows that count, but 1 of 3 rows"):
+    with pytest.raises(ValueError, match="must be finite in valid rows, but 1 of 3 rows"):
         vime.inv(bad)
     assert vime.dynamics.count == 0
     bad["valid"] = torch.tensor([True, False, True])
