@@ -1,9 +1,9 @@
-"""Archives of checkpoints, read to the last byte before anything in them is loaded.
+"""Checkpoint archives, checked completely before anything in them is loaded.
 
-An archive is whatever somebody put into it. tensordict's loader follows the metadata that it finds
-and, by default, unpickles, which runs code. So an archive with anything that a checkpoint of ours
-never holds is refused whole: only raw tensors and JSON of the kinds below are read, and
-:class:`TensorFiles` loads with pickle disallowed.
+An archive may contain anything. tensordict's loader trusts the metadata in it and unpickles by
+default, which can run code. So an archive with any file that our checkpoints do not contain is
+rejected. Only raw tensors and JSON as listed below are read, and :class:`TensorFiles` loads with
+pickle disallowed.
 """
 
 from __future__ import annotations
@@ -42,7 +42,7 @@ class TensorFiles(StateDictCheckpointAdapter):
         kwargs: Mapping[str, Any],
     ) -> None:
         """Restores a component from its folder; the arguments are TorchRL's."""
-        del tensor_load_kwargs  # torch.load's
+        del tensor_load_kwargs  # for torch.load only
         tensors = tensordict.load(path / self.state_directory, allow_pickle=False)
         schema = json.loads((path / self.schema_filename).read_text(encoding="utf-8"))
         state = _decode_state_dict_value(schema, tensors, map_location)
@@ -50,17 +50,17 @@ class TensorFiles(StateDictCheckpointAdapter):
 
 
 def read_archive(path: Path) -> dict[str, Any]:
-    """Returns the manifest of an archive that is whole and holds nothing but what is known.
+    """Returns the manifest of an archive that is complete and contains known files only.
 
     Raises:
-        FileNotFoundError: if there is no such file.
-        Exception: any other where it is damaged or foreign; what zipfile, json and TorchRL raise
-            for what they cannot read, and ``ValueError``.
+        FileNotFoundError: if the file does not exist.
+        Exception: any other if the archive is damaged or foreign: ``ValueError``, or an error of
+            zipfile, json or TorchRL.
     """
     with zipfile.ZipFile(path) as archive:
-        size, most = sum(info.file_size for info in archive.infolist()), path.stat().st_size
-        if size > most:  # ours are not compressed
-            raise ValueError(f"unpacked it would take {size} bytes, and it has {most}")
+        size, limit = sum(info.file_size for info in archive.infolist()), path.stat().st_size
+        if size > limit:  # ours are not compressed
+            raise ValueError(f"its contents take {size} bytes, more than its size of {limit}")
         broken = archive.testzip()
         if broken is not None:
             raise ValueError(f"{broken} in it does not match its checksum")

@@ -1,4 +1,4 @@
-"""The weights that each replica had when it did best."""
+"""The weights of each replica at its best evaluation."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ if TYPE_CHECKING:
 
 
 class BestWeights:
-    """Keeps a copy of a policy's weights, for each replica as they were at its best.
+    """Stores a copy of a policy's weights for each replica at its best evaluation.
 
-    It is part of a checkpoint (``state_dict``), so that a resumed training knows the best of the
-    rounds before.
+    Checkpoints include it (``state_dict``), so a resumed training run knows the best of earlier
+    rounds.
 
     Args:
-        policy: its parameters are [replicas, *]; its buffers do not change.
+        policy: a policy with parameters [replicas, *] and constant buffers.
         replicas: the number of replicas.
 
     Attributes:
-        round: of each replica's best, int64 [replicas]; -1 before the first.
-        success_rate: what it was, float64 [replicas].
+        round: the round of each replica's best evaluation, int64 [replicas]; -1 before the first.
+        success_rate: the success rate in that round, float64 [replicas].
 
     Examples:
         >>> import torch
@@ -47,26 +47,26 @@ class BestWeights:
         self._weights: dict[str, Tensor] = _weights(policy)
 
     def update(self, round_number: int, success_rate: Tensor, *, since: int = 0) -> None:
-        """Copies the weights of the replicas that never did better.
+        """Copies the weights of replicas with a new best success rate.
 
         Args:
-            round_number: the round that the policy is of.
-            success_rate: how each replica did, [replicas].
-            since: a best from before this round does not count any more.
+            round_number: the policy's round.
+            success_rate: the success rate of each replica, [replicas].
+            since: the first round that counts; an earlier best is replaced.
         """
         rate = success_rate.double().cpu()
         better = (rate > self.success_rate) | (self.round < since)
         self.round = torch.where(better, round_number, self.round)
         self.success_rate = torch.where(better, rate, self.success_rate)
         for name, now in _weights(self._policy).items():
-            kept = self._weights[name]
-            kept[better.to(kept.device)] = now[better.to(now.device)]
+            best = self._weights[name]
+            best[better.to(best.device)] = now[better.to(now.device)]
 
     def put_back(self) -> None:
-        """Gives the policy its best weights.
+        """Loads the best weights into the policy.
 
         Raises:
-            ValueError: if there are none yet.
+            ValueError: before the first evaluation.
         """
         if bool((self.round < 0).any()):
             raise ValueError("there are no best weights before the first evaluation while training")
@@ -81,14 +81,14 @@ class BestWeights:
         }
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
-        """Restores what :meth:`state_dict` returned."""
+        """Restores the state from :meth:`state_dict`."""
         self.round = state_dict["round"].clone()
         self.success_rate = state_dict["success_rate"].clone()
         saved = state_dict["weights"]
-        # Saved before a policy had its actor's names: then they were below "actor".
+        # Older checkpoints have the prefix "actor".
         saved = {name.removeprefix("actor."): weight for name, weight in saved.items()} | saved
-        for name, kept in self._weights.items():
-            kept.copy_(saved[name])
+        for name, best in self._weights.items():
+            best.copy_(saved[name])
 
 
 def _weights(policy: nn.Module) -> dict[str, Tensor]:

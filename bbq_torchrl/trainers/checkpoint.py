@@ -1,17 +1,18 @@
-"""Checkpoints that survive a kill, a crash and a damaged disk.
+"""Checkpoints that survive kills, crashes and damaged disks.
 
 A checkpoint is one :class:`torchrl.checkpoint.Checkpoint` archive: a ZIP file of raw tensors and
-JSON, published by a rename. What TorchRL's ``CheckpointRotation`` leaves open is done here:
+JSON, published by a rename. This module adds to TorchRL's ``CheckpointRotation``:
 
-- it skips files that it cannot read without a word, and does not notice a damaged tensor: here
-  every byte is checked (the ZIP's CRC-32) before anything is loaded, a damaged file is named in a
-  warning, and the one before it is used;
-- its loader unpickles: here a file with anything but tensors and JSON is not loaded at all
-  (:mod:`bbq_torchrl.trainers.archive`);
-- nothing is forced to the disk: here the archive and its folder are, before older ones go;
-- a process killed while it writes leaves its staging folder behind: here the next one removes it.
+- TorchRL silently skips unreadable files and does not notice damaged tensors. Here every byte is
+  checked (by the ZIP's CRC-32) before anything is loaded. A warning names a damaged file, and the
+  previous checkpoint is used.
+- TorchRL's loader unpickles. Here a file with anything but tensors and JSON is not loaded
+  (:mod:`bbq_torchrl.trainers.archive`).
+- TorchRL does not sync files to disk. Here the archive and its folder are synced before older
+  checkpoints are removed.
+- A process that is killed while it writes leaves a staging folder behind. The next one removes it.
 
-One process writes, any number may read: a reader changes nothing in the folder.
+One process writes and any number may read: readers change nothing in the folder.
 """
 
 from __future__ import annotations
@@ -42,20 +43,20 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 _SUFFIX = ".torchrl"
 _NAME = re.compile(r"round-(\d{6,})\.torchrl")
-_METADATA_SIZE = 1 << 20  # bytes; more than the JSON and the folders of a checkpoint take
-_KEPT = "kept"  # a smaller checkpoint, before it takes the place of the one that it is made of
-_LEFTOVER = re.compile(rf"{_KEPT}\.torchrl|\..+\.torchrl\.(stage|archive|backup)-[0-9a-f]{{32}}")
+_METADATA_SIZE = 1 << 20  # bytes, an upper bound for the JSON and folders of a checkpoint
+_REDUCED = "kept"  # name of a reduced checkpoint until it replaces the full one
+_LEFTOVER = re.compile(rf"{_REDUCED}\.torchrl|\..+\.torchrl\.(stage|archive|backup)-[0-9a-f]{{32}}")
 
 
 class CheckpointFolder:
-    """The last checkpoints of a run, the newest readable one first.
+    """The last checkpoints of a run.
 
     Args:
-        folder: where they lie; it is made when the first is saved.
-        keep: how many are kept; None: all. Defaults to 2, so that one remains if the newest is
-            damaged.
-        **components: what is saved and restored, by name: objects with ``state_dict`` and
-            ``load_state_dict``, of tensors and JSON values in dicts, lists and tuples.
+        folder: the folder of the checkpoints, created by the first save.
+        keep: the number of checkpoints to keep; None for all. Defaults to 2, so that one remains if
+            the newest is damaged.
+        **components: the objects to save and restore, by name, with ``state_dict`` and
+            ``load_state_dict`` of tensors and JSON values in dicts, lists and tuples.
 
     Examples:
         >>> from pathlib import Path
@@ -76,25 +77,26 @@ class CheckpointFolder:
             self._checkpoint.register(name, component, adapter=TensorFiles())
 
     def save(self, rounds: int, metadata: Mapping[str, Any], *, name: str | None = None) -> Path:
-        """Saves all components and returns the file; older checkpoints go once it is safe.
+        """Saves all components, then removes older checkpoints, and returns the file.
 
         Args:
-            rounds: how many rounds are done.
-            metadata: JSON values, read again without loading anything.
-            name: a separate name, outside the rotation. Defaults to None, the round's.
+            rounds: the number of finished rounds.
+            metadata: JSON values that can be read without loading the components.
+            name: a file name outside the rotation. Defaults to None, the name of the round.
 
         Raises:
-            OSError: if the folder cannot be written or the disk has no room.
+            OSError: if the folder is not writable or the disk is full.
         """
         path = self.folder / f"{name or f'round-{rounds:06d}'}{_SUFFIX}"
         states = [part.state_dict() for part in self._checkpoint.components.values()]
         tensors = [leaf for leaf in pytree.tree_leaves(states) if isinstance(leaf, torch.Tensor)]
-        # The tensors are written twice: staged and archived.
-        _check_room(self.folder, 2 * sum(tensor.nbytes for tensor in tensors) + _METADATA_SIZE)
-        with _openable_by_torch(self.folder) as folder:
+        # The tensors are written twice, staged and archived.
+        size = 2 * sum(tensor.nbytes for tensor in tensors) + _METADATA_SIZE
+        _check_disk_space(self.folder, size)
+        with _path_for_torch(self.folder) as folder:
             self._checkpoint.save(folder / path.name, metadata={"round": rounds, **metadata})
-        _force_to_disk(path)
-        _force_to_disk(self.folder)
+        _fsync(path)
+        _fsync(self.folder)
         if self.keep is not None:
             for old in self._files()[self.keep :]:
                 old.unlink()
@@ -103,32 +105,32 @@ class CheckpointFolder:
     def newest(self) -> tuple[Path, dict[str, Any]] | None:
         """Returns the newest readable checkpoint and its metadata, or None without checkpoints.
 
-        A damaged one is named in a warning.
+        A warning names damaged checkpoints.
 
         Raises:
-            CheckpointDamagedError: if there are checkpoints, but every one is damaged, or the
-                newest readable one lacks a component.
+            CheckpointDamagedError: if every checkpoint is damaged, or the newest readable one lacks
+                a component.
         """
         found, damages = self._newest(self._checkpoint.components)
         for damage in damages:
             _LOG.warning("checkpoint is damaged and not used: %s", damage)
         if found is not None and damages:
-            _LOG.warning("taking the checkpoint before it: %s", found[0])
+            _LOG.warning("using the previous checkpoint: %s", found[0])
         return found
 
     def restore(self, expected: Mapping[str, Any]) -> tuple[Path, dict[str, Any]] | None:
         """Restores all components from the newest readable checkpoint; None without checkpoints.
 
         Args:
-            expected: metadata that the checkpoint must have. What a checkpoint of an earlier
-                version does not say is not compared.
+            expected: metadata that the checkpoint must have. Entries that are missing in the
+                checkpoint (of an earlier version) are not compared.
 
         Returns:
             the file and its metadata.
 
         Raises:
-            CheckpointDamagedError: as :meth:`newest`.
-            CheckpointMismatchError: if the checkpoint is one of another seed or configuration.
+            CheckpointDamagedError: as in :meth:`newest`.
+            CheckpointMismatchError: if the checkpoint has another seed or configuration.
         """
         found = self.newest()
         if found is None:
@@ -140,21 +142,21 @@ class CheckpointFolder:
         except FileNotFoundError:
             if path.exists():
                 raise
-            return self.restore(expected)  # the process that writes has saved a newer one
+            return self.restore(expected)  # the writing process has saved a newer one
         return found
 
     def check(self, expected: Mapping[str, Any], *components: str) -> bool:
-        """Refuses the newest readable checkpoint as :meth:`restore` would; whether there is one.
+        """Checks the newest readable checkpoint like :meth:`restore`; returns whether one exists.
 
-        Nothing is loaded, and nothing logged.
+        Nothing is loaded or logged.
 
         Args:
-            expected: as of :meth:`restore`.
-            *components: what it must hold.
+            expected: as in :meth:`restore`.
+            *components: the components that it must contain.
 
         Raises:
-            CheckpointDamagedError: as :meth:`newest`.
-            CheckpointMismatchError: if the checkpoint is one of another seed or configuration.
+            CheckpointDamagedError: as in :meth:`newest`.
+            CheckpointMismatchError: if the checkpoint has another seed or configuration.
         """
         found, _ = self._newest(components)
         if found is not None:
@@ -165,17 +167,17 @@ class CheckpointFolder:
         """Restores all components from a checkpoint that :meth:`newest` returned.
 
         Raises:
-            CheckpointMismatchError: if it was made by another configuration.
+            CheckpointMismatchError: if it has another configuration.
         """
-        # Each part moves its state to its own device: the run may continue where the device that
-        # it was saved from is absent.
+        # Each component moves its state to its device, as the run may continue on a machine without
+        # the device that the checkpoint was saved from.
         try:
             self._checkpoint.load(path, map_location="cpu")
         except CheckpointError as error:
             root: BaseException = error
             while root.__cause__ is not None:
                 root = root.__cause__
-            # What stands between may show whole networks; its beginning tells.
+            # The message may include whole networks; its beginning is enough.
             reason = shorten(str(error), 200, placeholder=" ...")
             if "size" in str(root):
                 reason = f"its networks have other shapes ({str(root).splitlines()[0]})"
@@ -184,28 +186,28 @@ class CheckpointFolder:
             ) from error
 
     def keep_only(self, *names: str) -> None:
-        """Leaves nothing but these components of the newest checkpoint; loads them on the way.
+        """Reduces the newest checkpoint to these components, which it loads; removes the others.
 
-        It keeps its name. A training cannot go on from them. At every moment there is a whole
-        checkpoint.
+        Its name stays the same. Training cannot be resumed from it. A complete checkpoint exists at
+        every moment.
         """
         parts = self._checkpoint.components
         named = {name: part for name, part in parts.items() if name in names}
-        kept = CheckpointFolder(self.folder, keep=None, **named)
-        found = kept.restore({})
+        reduced = CheckpointFolder(self.folder, keep=None, **named)
+        found = reduced.restore({})
         if found is not None:
             path, metadata = found
-            smaller = kept.save(metadata.pop("round"), metadata, name=_KEPT)
-            os.replace(smaller, path)
-            _force_to_disk(self.folder)
+            saved = reduced.save(metadata.pop("round"), metadata, name=_REDUCED)
+            os.replace(saved, path)
+            _fsync(self.folder)
             for other in self._files():
                 if other != path:
                     other.unlink()
 
     def remove_leftovers(self) -> None:
-        """Removes what a process that was killed while saving left behind.
+        """Removes the leftovers of a process that was killed while saving.
 
-        Only for the process that writes: another one's would be what is just being saved.
+        Only the writing process may call it, as another one would remove a save in progress.
         """
         if not self.folder.is_dir():
             return
@@ -219,17 +221,17 @@ class CheckpointFolder:
     def _newest(
         self, components: Iterable[str]
     ) -> tuple[tuple[Path, dict[str, Any]] | None, list[str]]:
-        """Returns the newest readable checkpoint with its metadata, and which ones are damaged."""
+        """Returns the newest readable checkpoint with its metadata, and the damaged newer ones."""
         damages: list[str] = []
         for path in self._files():
-            # An archive can be damaged in more ways than there are errors to name.
+            # Damage can raise any kind of error.
             try:
                 manifest = read_archive(path)
                 if (rounds := manifest["metadata"]["round"]) != _rounds_of(path):
                     raise ValueError(f"it is of round {shown(rounds)}")
             except Exception as error:
                 if isinstance(error, FileNotFoundError) and not os.path.lexists(path):
-                    return self._newest(components)  # the process that writes has saved a newer one
+                    return self._newest(components)  # the writing process has saved a newer one
                 reason = " ".join(str(error).split()) or type(error).__name__
                 damages.append(f"{path.name}: {reason}")
                 continue
@@ -237,19 +239,19 @@ class CheckpointFolder:
             if missing:
                 raise CheckpointDamagedError(
                     f"the checkpoint {path} has no {', '.join(sorted(missing))}, only "
-                    f"{', '.join(manifest['components'])}: a run that is to go on after its "
-                    "end needs protocol.keep_checkpoints=last"
+                    f"{', '.join(manifest['components'])}: to resume a run after its end, train it "
+                    "with protocol.keep_checkpoints=last"
                 )
             return (path, dict(manifest["metadata"])), damages
         if damages:
             raise CheckpointDamagedError(
-                f"every checkpoint in {self.folder} is damaged ({'; '.join(damages)}): put a good "
-                "one back, or start a new run"
+                f"every checkpoint in {self.folder} is damaged ({'; '.join(damages)}): restore "
+                "a good one, or start a new run"
             )
         return None, []
 
     def _files(self) -> list[Path]:
-        """Returns the checkpoints of finished rounds, the newest first."""
+        """Returns the checkpoints of finished rounds, newest first."""
         if not self.folder.is_dir():
             return []
         named = [path for path in self.folder.iterdir() if _NAME.fullmatch(path.name)]
@@ -257,12 +259,12 @@ class CheckpointFolder:
 
 
 def _rounds_of(path: Path) -> int:
-    """Returns how many rounds are done, as the name of a checkpoint says."""
+    """Returns the number of finished rounds from the name of a checkpoint."""
     return int(path.name.removeprefix("round-").removesuffix(_SUFFIX))
 
 
 def _compare(path: Path, metadata: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
-    """Raises CheckpointMismatchError for the first entry that is another one."""
+    """Raises CheckpointMismatchError for the first entry that differs."""
     for name, value in expected.items():
         if name in metadata and metadata[name] != value:
             raise CheckpointMismatchError(
@@ -270,11 +272,11 @@ def _compare(path: Path, metadata: Mapping[str, Any], expected: Mapping[str, Any
             )
 
 
-def _check_room(folder: Path, size: int) -> None:
-    """Raises OSError where a folder's disk has no room for so many bytes; makes the folder.
+def _check_disk_space(folder: Path, size: int) -> None:
+    """Raises OSError if a folder's disk lacks room for ``size`` bytes; creates the folder.
 
-    TorchRL writes through memory maps: one that meets a full disk is no error, but a signal that
-    kills the process.
+    TorchRL writes through memory maps: on a full disk these raise no error, but a signal kills the
+    process.
     """
     if not hasattr(os, "posix_fallocate"):
         return
@@ -288,11 +290,11 @@ def _check_room(folder: Path, size: int) -> None:
 
 
 @contextmanager
-def _openable_by_torch(folder: Path) -> Iterator[Path]:
-    """Makes a folder, and yields a path of it that torch can open.
+def _path_for_torch(folder: Path) -> Iterator[Path]:
+    """Creates a folder and yields a path to it that torch can open.
 
-    Torch takes every path for UTF-8. Where this one is not, it is the name in ASCII that Linux has
-    for every folder that is open.
+    Torch requires UTF-8 paths. For any other path it is the ASCII name that Linux has for every
+    open folder.
     """
     folder.mkdir(parents=True, exist_ok=True)
     if is_utf8(folder):
@@ -305,8 +307,8 @@ def _openable_by_torch(folder: Path) -> Iterator[Path]:
         os.close(descriptor)
 
 
-def _force_to_disk(path: Path) -> None:
-    """Forces a file, or the names in a folder, to the disk."""
+def _fsync(path: Path) -> None:
+    """Syncs a file, or the entries of a folder, to disk."""
     descriptor = os.open(path, os.O_RDONLY)
     try:
         os.fsync(descriptor)

@@ -1,4 +1,4 @@
-"""Plays dialogues in parallel, each to its end, and stores them."""
+"""Collection of complete dialogues, played in parallel."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ Policy = Callable[[TensorDictBase], TensorDictBase]
 
 
 class EpisodeStats(NamedTuple):
-    """Statistics of dialogues, one entry for each, shape [*batch].
+    """Statistics of dialogues, each of shape [*batch].
 
     Attributes:
         success: whether the dialogue succeeded (bool).
-        reward: the sum of its rewards (float64).
-        turns: the number of turns that the agent took (int64).
+        reward: the sum of the rewards (float64).
+        turns: the number of agent turns (int64).
     """
 
     success: Tensor
@@ -42,23 +42,23 @@ def rollout(
     max_steps: int = 1000,
     exploration: ExplorationType = ExplorationType.RANDOM,
 ) -> TensorDictBase:
-    """Plays one dialogue in every place of the environment's batch, each to its end.
+    """Plays one complete dialogue in each batch element of the environment.
 
-    Returns the rollout, batch size [*batch, turns], with the entry ``valid`` [*batch, turns]: a
-    dialogue that is over waits for the last one, and what it repeats meanwhile is not valid. The
-    policy finds ``is_init`` [*batch, 1], True in the first turn (as of ``InitTracker``). Every
-    dialogue that begins is played to its end, so there is no bias towards short ones. The policy
-    plays in evaluation mode (no dropout) and is given back in the mode that it came in.
+    Returns the rollout, batch size [*batch, turns], with the entry ``valid`` [*batch, turns], False
+    for the turns after a dialogue's end, which wait for the last dialogue. The policy reads
+    ``is_init`` [*batch, 1], True in the first turn (as from ``InitTracker``). Every dialogue is
+    played to its end, so the rollout is not biased towards short ones. The policy plays in
+    evaluation mode (no dropout); its mode is restored afterwards.
 
     Args:
         env: an environment whose last batch dimension is the dialogues.
-        policy: writes an action.
-        max_steps: the most turns of a dialogue. Defaults to 1000.
-        exploration: what the policy finds as ``exploration_type()``. Defaults to
+        policy: a policy that writes an action.
+        max_steps: the maximum number of turns of a dialogue. Defaults to 1000.
+        exploration: the ``exploration_type()`` of the policy. Defaults to
             ``ExplorationType.RANDOM``.
 
     Raises:
-        RuntimeError: if a dialogue is not over after ``max_steps`` turns.
+        RuntimeError: if a dialogue has not ended after ``max_steps`` turns.
     """
     was_training = isinstance(policy, nn.Module) and policy.training
     if isinstance(policy, nn.Module):
@@ -77,12 +77,12 @@ def rollout(
             policy.train(was_training)
     done = played["next", "done"].squeeze(-1)
     if not bool(done[..., -1].all()):
-        raise RuntimeError(f"every dialogue must be over after max_steps = {max_steps} turns")
+        raise RuntimeError(f"every dialogue must end within max_steps = {max_steps} turns")
     return played.set("valid", (done.cumsum(-1) - done.long()) == 0)
 
 
 def _marking_the_first_turn(policy: Policy) -> Policy:
-    """Returns a policy that marks the first turn of a rollout, without the cost of a transform."""
+    """Returns a policy that marks the first turn of a rollout; cheaper than a transform."""
     is_first = True
 
     def act(tensordict: TensorDictBase) -> TensorDictBase:
@@ -103,39 +103,38 @@ def rollouts(
     max_steps: int = 1000,
     exploration: ExplorationType = ExplorationType.RANDOM,
 ) -> Iterator[TensorDictBase]:
-    """Yields rollouts as :func:`rollout` does until every replica has played its dialogues.
+    """Yields rollouts of :func:`rollout` until every replica has played its dialogues.
 
     Args:
-        env: batch size [*replicas, places]; each rollout fills all places.
-        policy: writes an action.
-        dialogues: how many dialogues each replica plays. Of the last rollout, only as many
-            dialogues are kept as are missing: the first places, whatever their lengths.
-        max_steps: the most turns of a dialogue. Defaults to 1000.
-        exploration: what the policy finds as ``exploration_type()``.
+        env: an environment of batch size [*replicas, parallel].
+        policy: a policy that writes an action.
+        dialogues: the number of dialogues of each replica. Surplus dialogues of the last rollout
+            are cut off by index, whatever their lengths.
+        max_steps: the maximum number of turns of a dialogue. Defaults to 1000.
+        exploration: the ``exploration_type()`` of the policy.
     """
-    places = env.batch_size[-1]
-    for begun in range(0, dialogues, places):
+    parallel = env.batch_size[-1]
+    for begun in range(0, dialogues, parallel):
         played = rollout(env, policy, max_steps=max_steps, exploration=exploration)
-        yield played[..., : min(places, dialogues - begun), :]
+        yield played[..., : min(parallel, dialogues - begun), :]
 
 
 def episode_stats(rollout: TensorDictBase) -> EpisodeStats:
-    """Returns how the dialogues of a rollout of :func:`rollout` went, each entry of shape [*batch].
+    """Returns the statistics of the dialogues in a rollout of :func:`rollout`, [*batch] each.
 
     Args:
-        rollout: batch size [*batch, turns], with ``valid``, and whether the dialogue is a success
-            so far under ``("next", "success")``.
+        rollout: batch size [*batch, turns], with ``valid`` and ``("next", "success")``, whether
+            the dialogue has succeeded so far.
 
     Raises:
-        TrainingError: if it does not say so.
+        TrainingError: if the rollout has no ``("next", "success")``.
     """
     valid = rollout["valid"]
     after = rollout["next"]
     success = after.get("success", None)
     if success is None:
         raise TrainingError(
-            "the environment must write ('next', 'success'), which says that an episode has ended "
-            "well"
+            "the environment must write ('next', 'success'), whether the episode has succeeded"
         )
     success = success.squeeze(-1) & valid
     reward = after["reward"].squeeze(-1).double() * valid
@@ -143,7 +142,7 @@ def episode_stats(rollout: TensorDictBase) -> EpisodeStats:
 
 
 def rows_per_replica(rollout: TensorDictBase, keys: tuple[NestedKey, ...]) -> list[TensorDictBase]:
-    """Returns each replica's valid transitions, dialogue after dialogue: batch sizes [rows].
+    """Returns each replica's valid transitions in the order of dialogues, batch sizes [rows].
 
     Args:
         rollout: batch size [replicas, dialogues, turns], with ``valid``.
@@ -162,16 +161,16 @@ def collect_dialogues(
     *,
     max_steps: int,
 ) -> dict[str, Tensor]:
-    """Plays dialogues and stores them. Returns their mean statistics by metric, [replicas] each.
+    """Plays and stores dialogues, and returns their mean statistics by name, [replicas] each.
 
-    With them are the metrics that the replay's transform noted of these transitions.
+    These include the metrics of the replay's transform for these transitions.
 
     Args:
         replay: the buffers.
-        env: batch size [replicas, places].
-        policy: writes an action.
-        dialogues: how many dialogues each replica plays.
-        max_steps: the most turns of a dialogue.
+        env: an environment of batch size [replicas, parallel].
+        policy: a policy that writes an action.
+        dialogues: the number of dialogues of each replica.
+        max_steps: the maximum number of turns of a dialogue.
     """
     totals: Tensor | None = None
     for played in rollouts(env, policy, dialogues, max_steps=max_steps):

@@ -1,4 +1,4 @@
-"""Errors that stop a training, or keep one from being resumed."""
+"""Errors that stop training or prevent resuming it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ if TYPE_CHECKING:
 
 
 class TrainingError(ValueError):
-    """An error that stops a training, or keeps one from being resumed; its text is for people."""
+    """An error that stops training or prevents resuming it; its message is for the user."""
 
 
 class SpikeError(TrainingError):
@@ -19,59 +19,59 @@ class SpikeError(TrainingError):
 
 
 class CheckpointDamagedError(TrainingError):
-    """No checkpoint of a run can be used, though there was one."""
+    """A run has no usable checkpoint, though it had one."""
 
     @classmethod
     def gone(cls, run_folder: Path) -> CheckpointDamagedError:
-        """Returns the error of a run that has begun and has no checkpoint any more."""
+        """Returns the error for a started run without a checkpoint."""
         return cls(
-            f"{run_folder} has metrics or a result, but no checkpoint to go on from: put its "
-            "checkpoint/ back, resume a copy of the folder that has it, or start a new run"
+            f"{run_folder} has metrics or a result, but no checkpoint to resume from: restore its "
+            "checkpoint/, resume a copy of the folder that has it, or start a new run"
         )
 
 
 class CheckpointMismatchError(TrainingError):
-    """A checkpoint is one of another seed or configuration."""
+    """A checkpoint has another seed or configuration."""
 
 
 class RunFolderGoneError(TrainingError):
-    """A run folder was moved or removed while the run was at work in it."""
+    """A run folder was moved or removed during the run."""
 
     @classmethod
     def check(cls, run_folder: Path) -> None:
-        """Raises the error where there is no such folder any more.
+        """Raises the error if the folder no longer exists.
 
         Raises:
-            RunFolderGoneError: always then.
+            RunFolderGoneError: if the folder no longer exists.
         """
         if not run_folder.is_dir():
             raise cls(
-                f"{run_folder} was moved or removed while the run was at work in it: "
-                "resume=<where it is now> goes on from its last checkpoint"
+                f"{run_folder} was moved or removed during the run: "
+                "resume=<its new path> continues from its last checkpoint"
             )
 
 
 class NonFiniteWeightsError(TrainingError):
-    """Weights are NaN or infinite: whatever acts by them tells nothing of an agent."""
+    """A policy's weights are NaN or infinite."""
 
     @classmethod
     def check(cls, policy: nn.Module, where: object) -> None:
-        """Raises the error if a policy has such weights.
+        """Raises the error if a policy has NaN or infinite weights.
 
         Args:
-            policy: what acts by them.
-            where: they are from: a folder, for the sentence.
+            policy: the policy.
+            where: the origin of the weights in the message, such as a folder.
 
         Raises:
-            NonFiniteWeightsError: always then.
+            NonFiniteWeightsError: if a weight is NaN or infinite.
         """
         for name, weight in policy.named_parameters():
             if not bool(weight.isfinite().all()):
                 raise cls(
-                    f"{where} has weights that are NaN or infinite ({name}), by which no agent can "
-                    "act: train anew, with a smaller agent.lr where that was the cause"
+                    f"{where} has weights that are NaN or infinite ({name}), so the agent cannot "
+                    "act: train again, with a smaller agent.lr if training diverged"
                 )
 
 
 class NonFiniteLossError(TrainingError):
-    """A replica's loss became NaN or infinite; the state of the training has been saved."""
+    """A replica's loss became NaN or infinite; the training state has been saved."""

@@ -1,4 +1,4 @@
-"""The learning of a round: freeze, epochs of mini-batches, freeze, epochs."""
+"""The learning phase of a round: freeze, epochs of mini-batches, freeze, epochs."""
 
 from __future__ import annotations
 
@@ -23,22 +23,25 @@ if TYPE_CHECKING:
     from bbq_torchrl.protocols import ReplicaOptimizer
 
 
-_AT_ONCE = 64
+_PENDING_UPDATES = 64  # added up at once
 
 
 def losses_of(loss: nn.Module) -> list[nn.Module]:
-    """Returns the losses that are trained together: those of a ``ModuleDict``, or the one given."""
+    """Returns the losses to train together: those of a ``ModuleDict``, or the loss itself."""
     return list(loss.values()) if isinstance(loss, nn.ModuleDict) else [loss]
 
 
 class LossSums:
-    """Sums over updates of every per-replica entry that a loss returns, kept on the device.
+    """Sums of every per-replica entry that a loss returns, over updates, on the device.
 
-    Handling a few numbers costs as much as a small matrix product, so the entries of several
-    updates are added at once; on a CPU the sums are the same bit for bit.
+    Adding a few numbers costs as much as a small matrix product, so the entries of several updates
+    are added at once. On a CPU the sums are the same bit for bit.
 
     Args:
         replicas: the number of replicas.
+
+    Attributes:
+        updates: the number of updates of each replica.
     """
 
     def __init__(self, replicas: int) -> None:
@@ -49,15 +52,15 @@ class LossSums:
         self.updates = [0] * replicas
 
     def add(self, losses: TensorDictBase, batch: Batch) -> None:
-        """Adds what a loss returned for an update of a batch; nothing here runs on the host.
+        """Adds a loss's output for one update, without waiting for the device.
 
         Args:
-            losses: with ``loss_value`` of shape [replicas]; the entries of replicas that the batch
-                is not active for mean nothing, and are left out.
-            batch: what it was computed from.
+            losses: the output, with ``loss_value`` [replicas]. Entries of replicas that are
+                inactive in the batch are left out.
+            batch: the batch of the update.
 
         Raises:
-            TrainingError: if there is no such ``loss_value``.
+            TrainingError: if ``loss_value`` is missing or has another shape.
         """
         counted = zip(self.updates, batch.active, strict=True)
         self.updates = [count + learned for count, learned in counted]
@@ -82,7 +85,7 @@ class LossSums:
             is_active = batch.transitions["valid"].any(-1)
             values = [torch.where(is_active, value.detach(), 0.0) for value in values]
         self._pending += values
-        if len(self._pending) >= _AT_ONCE * len(self._names):
+        if len(self._pending) >= _PENDING_UPDATES * len(self._names):
             self._add_pending()
 
     @torch.no_grad()
@@ -91,13 +94,13 @@ class LossSums:
             return
         values = torch.stack(self._pending).view(-1, *self._sums.shape)
         self._pending.clear()
-        # One after the other: a sum of a block would depend, in its last bits, on which updates
-        # happen to be in it.
+        # Added one after the other: the last bits of a block sum would depend on the updates in the
+        # block.
         rows = torch.cat([self._sums.unsqueeze(0), values.double()])
         self._sums.copy_(rows.cumsum(0)[-1])
 
     def means(self) -> dict[str, list[float]]:
-        """Returns by name the means over each replica's updates; waits once for the device."""
+        """Returns means over each replica's updates, by name; waits for the device once."""
         self._add_pending()
         assert self._sums is not None
         return {
@@ -108,18 +111,18 @@ class LossSums:
 
 @dataclass(eq=False)
 class Update:
-    """Moves the replicas that a batch is active for: loss, gradient, step, sums.
+    """An update of the replicas that are active in a batch: loss, gradient, step, sums.
 
-    Nothing in it waits for the device.
+    It never waits for the device.
 
     Args:
-        loss: one, or several in a ``ModuleDict``. Each returns ``loss``, a scalar, whose sum is
-            differentiated; the first also ``loss_value`` [replicas]. Other entries of shape
+        loss: a loss, or several in a ``ModuleDict``. Each returns a scalar ``loss``, whose sum is
+            differentiated; the first also returns ``loss_value`` [replicas]. Other entries of shape
             [replicas] are averaged and reported.
-        optimizer: of its parameters.
+        optimizer: the optimizer of the loss's parameters.
 
     Attributes:
-        sums: takes in what the loss returns.
+        sums: the sums of the loss's outputs.
     """
 
     loss: nn.Module
@@ -131,7 +134,7 @@ class Update:
         self.sums = LossSums(self.optimizer.replicas)
 
     def __call__(self, batch: Batch) -> None:
-        """Updates once."""
+        """Performs one update."""
         first, *others = self._losses
         out: TensorDictBase = first(batch.transitions)
         for loss in others:
@@ -146,26 +149,27 @@ class Update:
 
 @dataclass(eq=False)
 class Learner:
-    """Learns from the buffers of R replicas: freeze, some epochs, freeze again, some epochs.
+    """The learner of R replicas: freeze the target, some epochs, freeze again, some epochs.
 
     Args:
-        loss: one, or several in a ``ModuleDict``, see :class:`~bbq_torchrl.trainers.RoundTrainer`;
-            their optional methods are in :mod:`bbq_torchrl.protocols`.
+        loss: a loss, or several in a ``ModuleDict``, see
+            :class:`~bbq_torchrl.trainers.RoundTrainer`; :mod:`bbq_torchrl.protocols` lists their
+            optional methods.
         replay: the buffers.
-        optimizer: of the loss's parameters.
+        optimizer: the optimizer of the loss's parameters.
         target_updater: ``.step()`` freezes the target.
-        seed_phase: seeds all that is random for a phase, which it is given as a name and numbers;
-            called before each epoch.
+        seed_phase: seeds all random numbers of a phase, given by a name and numbers; called before
+            each epoch.
 
     Keyword Args:
-        batch_size: transitions of a mini-batch, for each replica.
-        freezes: how often in a round the target is frozen and learned against.
-        epochs: how many epochs over the buffer follow each freeze.
-        updates_per_round: the number of updates in every round, spread over the freezes, in place
-            of the epochs. Early buffers are small, so epochs make few updates of them. Defaults
-            to None: as many as the epochs have.
-        lr_share: returns the share of the learning rate that a round, counted from 0, learns with.
-            Defaults to None: all of it, always.
+        batch_size: transitions per mini-batch and replica.
+        freezes: the number of target freezes in a round, each followed by learning.
+        epochs: the number of epochs over the buffer after each freeze.
+        updates_per_round: the number of updates in every round, spread over the freezes, instead of
+            ``epochs``, which give few updates while buffers are small. Defaults to None: use
+            ``epochs``.
+        lr_share: returns the share of the learning rate for a round, counted from 0. Defaults to
+            None: always 1.
     """
 
     loss: nn.Module
@@ -190,7 +194,7 @@ class Learner:
         return self._update.sums.updates
 
     def learn(self, round_number: int) -> dict[str, list[float]]:
-        """Learns for a round. Returns the means of the losses' metrics, for each replica."""
+        """Learns for a round and returns the means of the losses' metrics, by name."""
         self._update.sums = LossSums(self.replay.replicas)
         if self.lr_share is not None:
             self.optimizer.scale_lr(self.lr_share(round_number))
@@ -216,11 +220,11 @@ class Learner:
                     self._update(batch)
 
     def _batches(self, round_number: int, freeze: int) -> Iterator[list[Batch]]:
-        """Yields what is learned after one freeze, some batches at a time."""
+        """Yields the batches after one freeze, some at a time."""
         if self.updates_per_round is None:
             for epoch in range(self.epochs):
-                # A seed for every epoch: its length is that of the longest replica's, and the
-                # draws of the next epoch must not depend on it.
+                # Each epoch has a seed, so that its draws do not depend on the length of earlier
+                # epochs, which is that of the longest replica.
                 self.seed_phase("learn", round_number, freeze, epoch)
                 yield self.replay.epoch(self.batch_size)
         else:
@@ -229,7 +233,7 @@ class Learner:
             yield from self.replay.batches(self.batch_size, share + (freeze < rest))
 
     def compute_targets(self) -> None:
-        """Computes the frozen network's values for the whole buffer, where a loss allows it."""
+        """Computes the frozen network's values for the whole buffer if a loss allows it."""
         for loss in self._losses:
             if provides(loss, FixedTargets) and loss.has_fixed_targets:
                 key = ("next", loss.tensor_keys.next_state_value)
@@ -240,19 +244,19 @@ class Learner:
 _M_TRIM_THRESHOLD, _M_TOP_PAD, _M_MMAP_THRESHOLD = -1, -2, -3
 
 
-# Blocks from this size on are given back at once. Older versions of glibc accept no more.
-_LARGEST_KEPT = 1 << 25
+# Larger blocks are returned at once. Older versions of glibc accept no larger threshold.
+_LARGEST_REUSED = 1 << 25
 
 
 def keep_freed_memory() -> bool:
-    """Makes the C library keep freed memory for the next allocation, in the whole process.
+    """Makes glibc keep freed memory for later allocations, in the whole process.
 
-    An update of five replicas frees and allocates some thirty tensors of 3 MB. glibc's defaults
-    return such blocks to the kernel, which hands them back page by page, zeroed: a quarter of the
-    time of a BBQN update on a CPU. The process keeps its peak of memory instead.
+    An update of five replicas frees and allocates about thirty tensors of 3 MB. By default glibc
+    returns such blocks to the kernel, which provides them again page by page, zeroed. That takes a
+    quarter of a BBQN update on a CPU. With this setting the process stays at its peak memory.
 
     Returns:
-        whether there is a glibc that was told; elsewhere nothing is changed.
+        whether the setting took effect; without glibc nothing changes.
     """
     if not sys.platform.startswith("linux"):
         return False
@@ -260,7 +264,7 @@ def keep_freed_memory() -> bool:
     if mallopt is None:
         return False
     settings = {
-        _M_MMAP_THRESHOLD: _LARGEST_KEPT,
+        _M_MMAP_THRESHOLD: _LARGEST_REUSED,
         _M_TRIM_THRESHOLD: (1 << 31) - 1,
         _M_TOP_PAD: 1 << 26,
     }

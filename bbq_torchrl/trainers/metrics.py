@@ -1,4 +1,4 @@
-"""The path of a round's numbers: into memory, metrics.csv and the loggers."""
+"""The metrics of a run: in memory, in metrics.csv and in loggers."""
 
 from __future__ import annotations
 
@@ -20,26 +20,25 @@ if TYPE_CHECKING:
     from torchrl.record.loggers import Logger
 
 MetricRow = dict[str, int | float]
-"""A round's metrics of one replica."""
+"""The metrics of one round and replica."""
 
 
 class MetricsFile:
-    """The metrics of a run, in memory and in a tidy CSV file that grows round by round.
+    """The metrics of a run, in memory and in a tidy CSV file that grows with every round.
 
-    Loggers are fed from the same rows. What a round has not (NaN) is empty in the file, and is not
-    logged.
+    Loggers get the same rows. A missing metric (NaN) is empty in the file and not logged.
 
-    The file is a copy: what counts is in the checkpoint. A process killed while it writes, or
-    between two checkpoints, leaves rows that a resumed run replaces (:meth:`load_state_dict`).
+    The file is a copy of the metrics in the checkpoint. A process that is killed while it writes,
+    or between two checkpoints, leaves rows that a resumed run replaces (:meth:`load_state_dict`).
 
     Args:
-        path: the file; its folder is made if it is missing.
+        path: the file; its folder is created if it is missing.
         replicas: the number of replicas.
-        loggers: TorchRL loggers, which get ``<metric>/replica_<r>`` of all replicas at once, at the
-            step of the round.
+        loggers: TorchRL loggers, which get ``<metric>/replica_<r>`` for all replicas at once, with
+            the round as the step.
 
     Attributes:
-        rows: those of all rounds, one for each round and replica.
+        rows: the rows of all rounds, one for each round and replica.
 
     Examples:
         >>> from pathlib import Path
@@ -60,17 +59,17 @@ class MetricsFile:
     def append(
         self, round_number: int, columns: Mapping[str, float | Tensor | Sequence[float]]
     ) -> list[MetricRow]:
-        """Adds a round, in memory, at the end of the file and to the loggers; returns its rows.
+        """Adds a round to the rows, the file and the loggers, and returns its rows.
 
         Args:
             round_number: the round, from 0.
-            columns: by name, one number, or one for each replica.
+            columns: one number, or one for each replica, by name.
 
         Raises:
-            ValueError: if the columns are others than those of the rounds before.
-            TrainingError: if a column has another shape.
+            ValueError: if the columns differ from those of earlier rounds.
+            TrainingError: if a column has a wrong shape.
         """
-        values = {name: _of_each(name, value, self.replicas) for name, value in columns.items()}
+        values = {name: _per_replica(name, value, self.replicas) for name, value in columns.items()}
         rows: list[MetricRow] = [
             {
                 "round": round_number,
@@ -85,16 +84,16 @@ class MetricsFile:
         is_first = not self.rows
         self.rows.extend(rows)
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        is_anew = is_first or not self.path.exists()  # somebody has removed it
-        with self.path.open("w" if is_anew else "a", encoding="utf-8", newline="") as file:
-            file.write(_csv(self.rows if is_anew else rows, header=is_anew))
+        is_new = is_first or not self.path.exists()  # it may have been removed
+        with self.path.open("w" if is_new else "a", encoding="utf-8", newline="") as file:
+            file.write(_csv(self.rows if is_new else rows, header=is_new))
         logged = _logged(rows)
         for logger in self.loggers:
             logger.log_metrics(dict(logged), step=round_number)
         return rows
 
     def state_dict(self) -> dict[str, Any]:
-        """Returns all rows: the columns' names, which of them are integers, and the values."""
+        """Returns all rows: the names of the columns, those of integer columns, and the values."""
         first = self.rows[0] if self.rows else {}
         return {
             "columns": list(first),
@@ -105,7 +104,7 @@ class MetricsFile:
         }
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
-        """Restores what :meth:`state_dict` returned and replaces the file at once."""
+        """Restores the state from :meth:`state_dict` and rewrites the file."""
         integers = set(state_dict["integers"])
         self.rows = [
             {
@@ -121,7 +120,7 @@ class MetricsFile:
             self.path.unlink(missing_ok=True)
 
 
-def _of_each(name: str, value: float | Tensor | Sequence[float], replicas: int) -> list[float]:
+def _per_replica(name: str, value: float | Tensor | Sequence[float], replicas: int) -> list[float]:
     """Returns a metric's value for each replica."""
     numbers = np.asarray(value.tolist() if isinstance(value, Tensor) else value)
     if numbers.shape not in ((), (1,), (replicas,)):
@@ -129,12 +128,12 @@ def _of_each(name: str, value: float | Tensor | Sequence[float], replicas: int) 
             f"the metric {name} must be one number or one for each replica, shape [{replicas}], "
             f"got shape {list(numbers.shape)}"
         )
-    of_each: list[float] = np.broadcast_to(numbers, (replicas,)).tolist()
-    return of_each
+    values: list[float] = np.broadcast_to(numbers, (replicas,)).tolist()
+    return values
 
 
 def _logged(rows: Sequence[MetricRow]) -> dict[str, float]:
-    """Returns a round by the names that loggers have for its metrics."""
+    """Returns the metrics of a round by the names that loggers get."""
     return {
         f"{name}/replica_{row['replica']}": float(value)
         for row in rows

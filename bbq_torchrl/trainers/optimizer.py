@@ -1,4 +1,4 @@
-"""Adam for replicas that must not touch one another."""
+"""Adam for parameters of independent replicas."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ if TYPE_CHECKING:
 
 
 class ReplicaAdam:
-    """:class:`torch.optim.Adam` over parameters of replicas, each with its own steps.
+    """:class:`torch.optim.Adam` over parameters of replicas, with separate steps for each.
 
-    Their first dimension is the replicas'. One Adam over them would move a
-    replica without a gradient too, by its momentum, and count its steps with the others'. Here
-    Adam sees a view of each replica's part: a replica that a batch does not concern is left
-    bitwise untouched, moments and step count included.
+    The first dimension of the parameters is the replicas. A single Adam would also move a replica
+    without a gradient, by its momentum, and share the step count. Here Adam gets a view of each
+    replica's part, so a replica that is inactive in a batch stays bitwise the same, including its
+    moments and step count.
 
     Args:
-        parameters: shapes [replicas, ...]; those that do not require a gradient are left out.
+        parameters: parameters [replicas, ...]; those that do not require a gradient are left out.
         replicas: the number of replicas.
-        lr: the learning rate, or one for each replica. Defaults to 1e-3 (the paper's).
+        lr: the learning rate, or one for each replica. Defaults to 1e-3, as in the paper.
         betas: as in :class:`torch.optim.Adam`.
         eps: as in :class:`torch.optim.Adam`.
 
@@ -50,7 +50,7 @@ class ReplicaAdam:
         self.replicas = replicas
         self.parameters = [parameter for parameter in parameters if parameter.requires_grad]
         if not self.parameters:
-            raise ValueError("parameters must hold at least one that requires a gradient, got none")
+            raise ValueError("parameters must include one that requires a gradient, got none")
         for parameter in self.parameters:
             if parameter.ndim == 0 or parameter.shape[0] != replicas:
                 raise ValueError(
@@ -66,7 +66,7 @@ class ReplicaAdam:
         self._adam = torch.optim.Adam(groups, betas=betas, eps=eps, fused=True)
 
     def _groups(self, lr: float | Sequence[float]) -> list[dict[str, Any]]:
-        """Returns Adam's parameter groups: neighbors of the same rate are one, as a step is."""
+        """Returns Adam's parameter groups; adjacent replicas of the same rate share a group."""
         rates = [lr] * self.replicas if isinstance(lr, (int, float)) else list(lr)
         if len(rates) != self.replicas:
             raise ValueError(
@@ -81,16 +81,16 @@ class ReplicaAdam:
         return groups
 
     def zero_grad(self) -> None:
-        """Forgets the gradients of the parameters."""
+        """Sets the gradients of the parameters to None."""
         for parameter in self.parameters:
             parameter.grad = None
 
     @torch.no_grad()
     def step(self, active: Sequence[bool] | None = None) -> None:
-        """Moves the replicas that are active by one Adam step.
+        """Takes an Adam step for the active replicas.
 
         Args:
-            active: for each replica, whether the last batch concerned it. Defaults to None: all.
+            active: for each replica, whether it is active. Defaults to None: all are.
         """
         flags = (True,) * self.replicas if active is None else active
         gradients = {
@@ -100,7 +100,7 @@ class ReplicaAdam:
             for views, gradient, is_active in zip(self._views, parameter.grad, flags, strict=True)
             if is_active
         }
-        # Not Adam.step: its hooks and checks cost as much as the step where networks are small.
+        # Adam.step is avoided: for small networks its hooks and checks cost as much as the step.
         for group in self._adam.param_groups:
             views = [view for view in group["params"] if view in gradients]
             states = [self._state(view) for view in views]
@@ -122,7 +122,7 @@ class ReplicaAdam:
             )
 
     def _state(self, view: Tensor) -> dict[str, Tensor]:
-        """Returns what Adam keeps of a view, as its first step begins it."""
+        """Returns Adam's state of a view, initialized as in Adam's first step."""
         state: dict[str, Tensor] = self._adam.state[view]
         if not state:
             state["step"] = torch.zeros((), dtype=torch.float32, device=view.device)
@@ -131,7 +131,7 @@ class ReplicaAdam:
         return state
 
     def scale_lr(self, share: float) -> None:
-        """Sets each replica's learning rate to this share of the rate that it was given."""
+        """Sets each replica's learning rate to this share of its initial rate."""
         for group, rate in zip(self._adam.param_groups, self._rates, strict=True):
             group["lr"] = rate * share
 
@@ -140,6 +140,6 @@ class ReplicaAdam:
         return self._adam.state_dict()
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
-        """Restores a copy of what :meth:`state_dict` returned."""
-        # torch's own would keep using the tensors of the state that it is given.
+        """Restores a copy of the state from :meth:`state_dict`."""
+        # A copy, because torch's method would share tensors with the given state.
         self._adam.load_state_dict(deepcopy(dict(state_dict)))

@@ -1,4 +1,4 @@
-"""The progress of a training: a bar on a terminal, lines in the log elsewhere."""
+"""The progress of training: a bar on a terminal, log lines elsewhere."""
 
 from __future__ import annotations
 
@@ -20,32 +20,32 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 
 LINES = 40
-"""The most log lines of a training without a progress bar."""
+"""The maximum number of log lines of a training run without a progress bar."""
 
 
 class RoundProgress:
-    """Shows success, reward, KL and the time that is left; means over the replicas.
+    """Shows success, reward, KL and remaining time, averaged over the replicas.
 
-    Where no bar is shown, the log gets a line after every round, of a training of more than 40
-    rounds after every so many that it is at most 40 lines: means over the rounds since the last.
+    Without a bar a line is logged after every round. Training for more than 40 rounds logs at most
+    40 lines, each with means over the rounds since the last.
 
     Args:
-        rounds: how many rounds the training has.
-        done: how many of them are done already (a resumed run). Defaults to 0.
-        visible: whether the bar is shown. Defaults to None: where stderr is a terminal and no other
-            process of a sweep draws on it. A terminal of no columns or lines never shows it.
-        name: begins each line of the log. Defaults to "".
+        rounds: the number of rounds.
+        done: the number of finished rounds (of a resumed run). Defaults to 0.
+        visible: whether the bar is shown. Defaults to None: if stderr is a terminal and no other
+            process of a sweep draws on it. A terminal without columns or lines never shows it.
+        name: the prefix of each log line. Defaults to "".
     """
 
     def __init__(
         self, rounds: int, *, done: int = 0, visible: bool | None = None, name: str = ""
     ) -> None:
         self._rounds = rounds
-        self._left = rounds - done
+        self._remaining = rounds - done
         self._name = f"{name}: " if name else ""
-        self._unsaid: list[dict[str, float]] = []
-        is_of_a_sweep = visible is None and multiprocessing.parent_process() is not None
-        if is_of_a_sweep or _is_without_a_size():
+        self._pending: list[dict[str, float]] = []
+        is_in_sweep = visible is None and multiprocessing.parent_process() is not None
+        if is_in_sweep or _has_zero_size():
             visible = False
         self._bar = tqdm(
             total=rounds,
@@ -57,14 +57,14 @@ class RoundProgress:
         )
 
     def update(self, rows: Sequence[MetricRow]) -> None:
-        """Takes in the rows of one round, one for each replica."""
-        self._left -= 1
+        """Shows the rows of one round, one for each replica."""
+        self._remaining -= 1
         means = {name: fmean(row[name] for row in rows) for name in rows[0]}
-        self._unsaid.append(means)
-        rates = [row.get("eval_success_rate", math.nan) for row in self._unsaid]
+        self._pending.append(means)
+        rates = [row.get("eval_success_rate", math.nan) for row in self._pending]
         evaluated = [f"{rate:.2f}" for rate in rates if not math.isnan(rate)]
         if self._bar.disable:
-            self._tell(*evaluated[-1:])
+            self._log_line(*evaluated[-1:])
             return
         shown = {"success": f"{means['success_rate']:.2f}", "reward": f"{means['reward']:.1f}"}
         if evaluated:
@@ -74,13 +74,13 @@ class RoundProgress:
         self._bar.set_postfix(shown, refresh=False)
         self._bar.update()
 
-    def _tell(self, *evaluated: str) -> None:
+    def _log_line(self, *evaluated: str) -> None:
         """Logs a line if enough rounds have passed since the last one."""
-        done = self._rounds - self._left
-        if done % math.ceil(self._rounds / LINES) and self._left:
+        done = self._rounds - self._remaining
+        if done % math.ceil(self._rounds / LINES) and self._remaining:
             return
         names = ("success_rate", "reward", "seconds")
-        success, reward, seconds = (fmean(row[name] for row in self._unsaid) for name in names)
+        success, reward, seconds = (fmean(row[name] for row in self._pending) for name in names)
         _LOG.info(
             "%sround %d of %d: success %.2f%s, reward %.1f, %.1f s a round",
             self._name,
@@ -91,16 +91,16 @@ class RoundProgress:
             reward,
             seconds,
         )
-        self._unsaid = []
+        self._pending = []
 
     def close(self) -> None:
         """Leaves the bar as it is and ends its line."""
         self._bar.close()
 
 
-def _is_without_a_size() -> bool:
-    """Tells whether stderr is a terminal on which tqdm would draw nothing, as in a container."""
+def _has_zero_size() -> bool:
+    """Returns whether stderr is a terminal of size 0, as in containers: tqdm draws nothing."""
     try:
         return min(os.get_terminal_size(sys.stderr.fileno())) < 1
-    except (AttributeError, OSError, ValueError):  # no terminal, or no stream of a file
+    except (AttributeError, OSError, ValueError):  # not a terminal, or not a file stream
         return False

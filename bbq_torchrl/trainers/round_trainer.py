@@ -50,61 +50,62 @@ if TYPE_CHECKING:
 
 @dataclass(eq=False)
 class RoundTrainer:
-    """Trains R replicas in parallel by the paper's protocol, and can be resumed after a kill.
+    """Trains R replicas in parallel by the paper's protocol, resumable after a kill.
 
-    A round: every replica plays its dialogues in lockstep, stores the transitions, and learns:
-    freeze the target, some epochs over the buffer; freeze again, some epochs again (the paper,
-    "Experiments"). The trainer knows nothing of agents and dialogues but the keys: everything else
-    comes in as objects.
+    In a round every replica plays its dialogues in lockstep, stores the transitions, and learns:
+    freeze the target, some epochs over the buffer, freeze again, some epochs again (the paper,
+    "Experiments"). The trainer depends on the keys of the data only; everything else is passed in
+    as objects.
 
-    Random numbers: each phase of a round starts from a separate seed, derived from the run's seed
-    and the round (:func:`~bbq_torchrl.trainers.derive_seed`). So a training that is killed at any
-    moment and resumed ends, on a CPU, with bitwise the same weights and metrics as one that was
-    not; and what one replica does never shifts another's random numbers.
+    Each phase of a round has a separate seed, derived from the run's seed and the round
+    (:func:`~bbq_torchrl.trainers.derive_seed`). So a run that is killed at any moment and resumed
+    ends, on a CPU, with bitwise the same weights and metrics as an uninterrupted one, and a replica
+    never shifts another's random numbers.
 
     :mod:`bbq_torchrl.protocols` lists the optional methods of these objects that the trainer calls.
 
     Args:
-        env: batch size [replicas, places], key ``("next", "success")`` besides the usual.
-        policy: acts, with exploration, on the environment's TensorDict.
-        loss: returns ``loss`` (scalar) and ``loss_value`` [replicas], and may return more of shape
-            [replicas], which becomes a metric. Several losses are an ``nn.ModuleDict``: the sum of
-            their ``loss`` is trained, and ``loss_value`` is the first one's.
+        env: an environment of batch size [replicas, parallel] that writes ``("next", "success")``
+            in addition to the usual keys.
+        policy: the exploring policy on the environment's TensorDict.
+        loss: returns ``loss`` (scalar) and ``loss_value`` [replicas]. Further entries [replicas]
+            become metrics. Several losses are passed as an ``nn.ModuleDict``: the sum of their
+            ``loss`` is trained, and ``loss_value`` is the first one's.
         replay: the buffers, empty.
-        optimizer: of the loss's parameters.
+        optimizer: the optimizer of the loss's parameters.
         target_updater: ``.step()`` freezes the target.
-        run_folder: takes ``metrics.csv`` and ``checkpoint/``.
+        run_folder: the folder of ``metrics.csv`` and ``checkpoint/``.
 
     Keyword Args:
-        rounds: how many rounds are trained.
-        dialogues: how many dialogues each replica plays in a round. More than the environment has
-            places are played in turns.
-        batch_size: transitions of a mini-batch, for each replica.
-        freezes: how often in a round the target is frozen and learned against.
-        epochs: how many epochs over the buffer follow each freeze.
-        updates_per_round: the number of updates in every round, in place of the epochs. Defaults
-            to None: as many as the epochs have.
+        rounds: the number of rounds.
+        dialogues: the number of dialogues of each replica in a round. If the environment plays
+            fewer in parallel, several rollouts follow each other.
+        batch_size: transitions per mini-batch and replica.
+        freezes: the number of target freezes in a round, each followed by learning.
+        epochs: the number of epochs over the buffer after each freeze.
+        updates_per_round: the number of updates in every round, instead of ``epochs``. Defaults to
+            None: use ``epochs``.
         checkpoint_every: rounds between two checkpoints.
-        keep_checkpoints: how many of the newest are kept; None: all.
-        lr_share: returns the share of the learning rate that a round, counted from 0, learns with.
-            Defaults to None: all of it, always.
-        max_steps: the most agent turns of a dialogue; one that is longer is an error. Defaults to
-            1000.
-        seed: what every random number of the training derives from. Defaults to 0.
-        spike: fills the buffer before the first round.
-        loggers: TorchRL loggers, fed from the rows of ``metrics.csv``.
-        callbacks: called after every round.
-        evaluator: evaluates the policy at the end of a round, without a trace in the training:
-            metrics and weights are bitwise those of one without it.
-        round_metrics: metrics read at the start of each round, such as an exploration rate: each
-            returns one number, or a tensor [replicas]. A name that another column has is an error
-            at the end of the first round.
-        described: what the training is, as JSON values by name; stands in every checkpoint, and one
-            that says otherwise is refused.
+        keep_checkpoints: the number of newest checkpoints to keep; None for all.
+        lr_share: returns the share of the learning rate for a round, counted from 0. Defaults to
+            None: always 1.
+        max_steps: the maximum number of agent turns in a dialogue; a longer one is an error.
+            Defaults to 1000.
+        seed: the seed that all random numbers derive from. Defaults to 0.
+        spike: fills the buffers before the first round.
+        loggers: TorchRL loggers, which get the rows of ``metrics.csv``.
+        callbacks: functions called after every round.
+        evaluator: evaluates the policy at the end of each round. Other metrics and the weights are
+            bitwise the same as without it.
+        round_metrics: functions read at the start of each round, such as an exploration rate; each
+            returns one number or a tensor [replicas]. A name that another column has is an error at
+            the end of the first round.
+        described: a description of the training as JSON values by name, saved in every checkpoint.
+            Checkpoints with another description are rejected.
         progress: whether a progress bar is shown. Defaults to None: on a terminal.
 
     Raises:
-        ValueError: if the parts do not fit one another, or a number is too small.
+        ValueError: if the objects do not fit each other, or a number is too small.
     """
 
     env: EnvBase
@@ -138,12 +139,12 @@ class RoundTrainer:
         replicas = self.replicas
         if len(self.env.batch_size) != 2 or self.env.batch_size[0] != replicas:
             raise ValueError(
-                f"the environment's batch size must be [{replicas}, places] for {replicas} "
+                f"the environment's batch size must be [{replicas}, parallel] for {replicas} "
                 f"replicas, got {list(self.env.batch_size)}"
             )
         if not provides(self.optimizer, ReplicaOptimizer):
             raise ValueError(
-                "the optimizer must move each replica by itself, as ReplicaAdam does, got "
+                "the optimizer must update each replica separately, as ReplicaAdam does, got "
                 f"{type(self.optimizer).__name__}"
             )
         for name in (
@@ -164,7 +165,7 @@ class RoundTrainer:
                 f"updates_per_round must be at least freezes ({self.freezes}), got "
                 f"{self.updates_per_round}"
             )
-        self.run_folder = Path(self.run_folder)  # a text will do, too
+        self.run_folder = Path(self.run_folder)  # it may be a string
         self.described = {"seed": self.seed, "replicas": replicas, **self.described}
         self.rounds_done = self.rounds_saved = 0
         self._stops = False
@@ -199,19 +200,18 @@ class RoundTrainer:
         return self.replay.replicas
 
     def train(self, *, resume: bool = False) -> list[MetricRow]:
-        """Trains to the last round and returns the metrics: a row for every round and replica.
+        """Trains to the last round and returns the metrics, a row for every round and replica.
 
         Args:
-            resume: continue from the newest readable checkpoint in the run folder; from the start
-                if the training was killed before it saved one. Defaults to False.
+            resume: continue from the newest readable checkpoint in the run folder, or from the
+                start if the run was killed before it saved one. Defaults to False.
 
         Raises:
-            ValueError: if the run folder holds a training already and ``resume`` is ``False``.
-            CheckpointMismatchError: if its checkpoint is of another seed or configuration.
-            CheckpointDamagedError: if there are checkpoints, but none can be read, or metrics
-                without one.
+            ValueError: if the run folder contains a run already and ``resume`` is False.
+            CheckpointMismatchError: if its checkpoint has another seed or configuration.
+            CheckpointDamagedError: if every checkpoint is damaged, or metrics exist without one.
             NonFiniteLossError: if a loss is NaN or infinite; the state is saved first.
-            RunFolderGoneError: if the run folder is moved or removed meanwhile.
+            RunFolderGoneError: if the run folder is moved or removed during training.
         """
         self.begin(resume=resume)
         bar = RoundProgress(
@@ -228,11 +228,11 @@ class RoundTrainer:
         return list(self.metrics.rows)
 
     def stop(self) -> None:
-        """Makes :meth:`train` end after the current round, with a checkpoint of it."""
+        """Makes :meth:`train` end after the current round, with a checkpoint."""
         self._stops = True
 
     def begin(self, *, resume: bool = False) -> None:
-        """Gets ready for the next round: spikes the buffers, or resumes; part of :meth:`train`.
+        """Prepares the next round by spiking the buffers or resuming; part of :meth:`train`.
 
         Args:
             resume: as in :meth:`train`, with the same errors.
@@ -247,8 +247,8 @@ class RoundTrainer:
                 raise CheckpointDamagedError.gone(self.run_folder)
         elif self.metrics.path.exists() or self.checkpoints.newest() is not None:
             raise ValueError(
-                f"the run folder must be a new one, or be resumed; {self.run_folder} holds a "
-                "training already"
+                f"the run folder must be new, or be resumed; {self.run_folder} contains a run "
+                "already"
             )
         if self.spike is not None:
             self._begin_phase("spike", 0)
@@ -258,11 +258,11 @@ class RoundTrainer:
     def train_round(self) -> list[MetricRow]:
         """Plays, learns and records one round; returns its rows. :meth:`train` is a loop over it.
 
-        Every ``checkpoint_every`` rounds it saves a checkpoint; :meth:`train` saves the last.
+        It saves a checkpoint every ``checkpoint_every`` rounds; :meth:`train` saves the last one.
 
         Raises:
             NonFiniteLossError: if a loss is NaN or infinite; the state is saved first.
-            RunFolderGoneError: if the run folder is not there any more; nothing is saved.
+            RunFolderGoneError: if the run folder no longer exists; nothing is saved.
         """
         columns = self._round(self.rounds_done)
         RunFolderGoneError.check(self.run_folder)
@@ -277,9 +277,9 @@ class RoundTrainer:
     # ---------------------------------------------------------------- phases
 
     def _round(self, round_number: int) -> dict[str, float | Tensor | Sequence[float]]:
-        """Plays and learns one round. Returns its metrics by name, in the order of the columns."""
+        """Plays and learns one round and returns its metrics by name, in column order."""
         started = time.perf_counter()
-        # Cloned: what is read may be the memory of a schedule that moves on.
+        # Cloned, because a metric may share memory with a schedule that changes.
         metrics = {
             name: torch.as_tensor(read(), dtype=torch.float64).clone()
             for name, read in self.round_metrics.items()
@@ -312,7 +312,7 @@ class RoundTrainer:
         )
 
     def _collect(self, round_number: int) -> dict[str, Tensor]:
-        """Plays the round's dialogues and stores them. Returns mean statistics, [replicas] each."""
+        """Plays and stores the round's dialogues, and returns mean statistics, [replicas] each."""
         self._begin_phase("collect", round_number)
         for module in modules_with(self.policy, Resampled):
             module.resample()
@@ -321,7 +321,7 @@ class RoundTrainer:
         )
 
     def _learn(self, round_number: int) -> dict[str, list[float]]:
-        """Freezes and learns. Returns the mean of what the loss reports, for each replica."""
+        """Learns and returns the means of the loss's metrics, for each replica."""
         means = self.learner.learn(round_number)
         broken = [r for r, loss in enumerate(means["loss"]) if not math.isfinite(loss)]
         if broken:
@@ -334,7 +334,7 @@ class RoundTrainer:
         return means
 
     def _begin_phase(self, name: str, round_number: int) -> None:
-        """Prepares the playing of dialogues: a separate seed, and the environment of the round."""
+        """Seeds a phase of dialogues and puts the environment into the round."""
         self._seed_phase(name, round_number)
         enter_round(self.env, round_number)
 
@@ -346,7 +346,7 @@ class RoundTrainer:
         self.replay.seed([derive_seed(seed, "replay", r, *path) for r in range(self.replicas)])
 
     def _save(self, *, name: str | None = None) -> Path:
-        if self.rounds_done or name is not None:  # the first checkpoint makes the folder
+        if self.rounds_done or name is not None:  # the first checkpoint creates the folder
             RunFolderGoneError.check(self.run_folder)
         saved = self.checkpoints.save(self.rounds_done, self.described, name=name)
         if name is None:
@@ -355,16 +355,16 @@ class RoundTrainer:
 
 
 RoundCallback = Callable[[RoundTrainer, "Sequence[MetricRow]"], None]
-"""Called after every round with the trainer and the round's rows, one for each replica."""
+"""A function called after every round with the trainer and the round's rows."""
 
 
 def _merged(
     *parts: tuple[str, Mapping[str, float | Tensor | Sequence[float]]],
 ) -> dict[str, float | Tensor | Sequence[float]]:
-    """Returns the columns of all owners in one mapping.
+    """Merges the columns of all owners.
 
     Raises:
-        TrainingError: if two owners have a column of one name.
+        TrainingError: if two owners have a column of the same name.
     """
     owners = dict.fromkeys(("round", "replica"), "the trainer")
     columns: dict[str, float | Tensor | Sequence[float]] = {}

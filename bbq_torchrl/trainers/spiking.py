@@ -1,4 +1,4 @@
-"""Replay buffer spiking: dialogues of another policy for the first rounds."""
+"""Replay buffer spiking: dialogues of another policy, stored before training."""
 
 from __future__ import annotations
 
@@ -26,17 +26,17 @@ class Spike:
     """Fills the buffers before the first round with dialogues of another policy.
 
     Args:
-        policy: writes an action.
-        dialogues: how many of its dialogues each replica's buffer starts with.
+        policy: a policy that writes an action.
+        dialogues: the number of its dialogues in each replica's buffer.
         protect: whether their transitions are never evicted. Defaults to True.
-        drop_above: a success rate. Once the mean over the last ``drop_window`` rounds of a replica
-            is above it, its protected transitions are dropped for good. (The paper leaves this
+        drop_above: a success rate. Once a replica's mean over the last ``drop_window`` rounds is
+            above it, its protected transitions are dropped for good. (The paper leaves this
             heuristic to future work and gives no number.) Defaults to None: never.
-        drop_window: the number of rounds that the mean is taken over. One round of 50 dialogues has
-            a standard error of up to .07: five rounds have .03. Defaults to 5.
+        drop_window: the number of rounds in the mean. One round of 50 dialogues has a standard
+            error of up to 0.07, five rounds of 0.03. Defaults to 5.
 
     Raises:
-        ValueError: for an argument outside of what is listed.
+        ValueError: for an invalid argument.
     """
 
     policy: Policy
@@ -52,22 +52,22 @@ class Spike:
             check("drop_above", self.drop_above, BELOW_ONE)
             if not self.protect:
                 raise ValueError(
-                    "drop_above needs protect=True: unprotected spiked transitions leave by "
-                    f"themselves, got protect={self.protect} and drop_above={self.drop_above}"
+                    "drop_above needs protect=True, as unprotected spiked transitions are evicted "
+                    f"anyway, got protect={self.protect} and drop_above={self.drop_above}"
                 )
 
     def fill(self, replay: ReplicaReplay, env: EnvBase, *, max_steps: int) -> None:
-        """Stores the dialogues, each replica's buffer its own, protected if so set.
+        """Plays and stores the dialogues of each replica, and protects them if so set.
 
-        The log says how many of them succeed, and warns of a replica without a success.
+        The log has their success rate, and a warning for each replica without a success.
 
         Args:
             replay: the buffers.
-            env: batch size [replicas, places].
-            max_steps: the most turns of a dialogue.
+            env: an environment of batch size [replicas, parallel].
+            max_steps: the maximum number of turns of a dialogue.
 
         Raises:
-            SpikeError: a ``ValueError``, if the transitions would fill a replica's capacity.
+            SpikeError: if the transitions would fill a replica's capacity.
         """
         played = collect_dialogues(replay, env, self.policy, self.dialogues, max_steps=max_steps)
         if max(replay.lengths) >= replay.capacity:
@@ -86,7 +86,7 @@ class Spike:
         without = [str(replica) for replica, rate in enumerate(rates) if not rate]
         if without:
             _LOG.warning(
-                "none of the %d spiked dialogues of replica %s is a success",
+                "none of the %d spiked dialogues of replica %s succeeds",
                 self.dialogues,
                 ", ".join(without),
             )
@@ -97,12 +97,12 @@ class Spike:
         rows: Sequence[Mapping[str, Any]],
         success_rates: Sequence[float],
     ) -> None:
-        """Drops a replica's spiked transitions once it does well without them.
+        """Drops a replica's spiked transitions once its success rate is high enough.
 
         Args:
             replay: the buffers.
-            rows: the metrics of all rounds before, replica after replica.
-            success_rates: each replica's in this round.
+            rows: the metrics of all earlier rounds, replica after replica.
+            success_rates: the success rate of each replica in this round.
         """
         if self.drop_above is None:
             return

@@ -91,7 +91,7 @@ def test_a_script_that_never_succeeds_spikes_where_it_is_chosen(never, tmp_path,
     config = compose(chosen)
     check(config)
     run(config, tmp_path / "run")
-    assert "none of the 5 spiked dialogues of replica 0 is a success" in caplog.messages
+    assert "none of the 5 spiked dialogues of replica 0 succeeds" in caplog.messages
 
 
 def test_a_script_of_a_later_round_is_passed_over(where):

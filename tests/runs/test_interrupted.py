@@ -70,7 +70,7 @@ def test_a_run_whose_folder_is_moved_ends_at_once_and_goes_on_in_its_new_place(t
                 trainer.checkpoint_every = 100
             old.rename(new)
 
-    with pytest.raises(RunFolderGoneError, match=r"old was moved or removed .*resume=<where it is"):
+    with pytest.raises(RunFolderGoneError, match=r"old was moved or removed .*resume=<its new"):
         run(longer, old, [move])
 
     assert played[-1] == done

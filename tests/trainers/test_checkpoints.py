@@ -139,7 +139,7 @@ DAMAGES = {
     "no round": (changed("manifest.json", lambda found: {**found, "metadata": {}}), "round"),
     "a round below 0": (of_round(-5), "its metadata name no round, but -5"),
     "another round": (of_round(10**30), "it is of round 1000000000"),
-    "compressed": (compressed, "unpacked it would take 1000"),
+    "compressed": (compressed, "its contents take 1000"),
     "a list": (changed("manifest.json", lambda manifest: [manifest]), "list"),
     **{
         f"with {name}": (with_file(name), f"{name} is missing in it, or belongs to no checkpoint")

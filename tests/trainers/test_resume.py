@@ -33,7 +33,7 @@ MOMENTS: dict[str, tuple[object, str, int]] = {
     "while a checkpoint is staged": (StateDictCheckpointAdapter, "save", 12),
     "while a checkpoint is written": (zipfile.ZipFile, "write", 130),
     "before a checkpoint is published": (os, "replace", 3),
-    "before the older checkpoint goes": (checkpoint, "_force_to_disk", 7),
+    "before the older checkpoint goes": (checkpoint, "_fsync", 7),
     "while the last checkpoint is published": (os, "replace", 6),
     "before a round's metrics are written": (MetricsFile, "append", 5),
 }

@@ -187,7 +187,7 @@ def test_a_folder_that_holds_a_training_is_not_overwritten(tmp_path):
     make_trainer(tmp_path, rounds=1).train()
     before = (tmp_path / "metrics.csv").read_text()
 
-    with pytest.raises(ValueError, match="holds a training already"):
+    with pytest.raises(ValueError, match="contains a run already"):
         make_trainer(tmp_path, rounds=1).train()
 
     assert (tmp_path / "metrics.csv").read_text() == before
@@ -196,7 +196,7 @@ def test_a_folder_that_holds_a_training_is_not_overwritten(tmp_path):
 @pytest.mark.parametrize(
     ("changed", "message"),
     [
-        ({"env": GuessEnv(2, 8)}, r"must be \[3, places\] for 3 replicas, got \[2, 8\]"),
+        ({"env": GuessEnv(2, 8)}, r"must be \[3, parallel\] for 3 replicas, got \[2, 8\]"),
         ({"optimizer": Adam([torch.ones(1)])}, "as ReplicaAdam does, got Adam"),
         ({"rounds": 0}, "rounds must be at least 1, got 0"),
         ({"batch_size": -1}, "batch_size must be at least 1, got -1"),
