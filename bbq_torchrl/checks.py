@@ -1,6 +1,6 @@
-"""One vocabulary of checks: the allowed values of a setting, and the refusal of others.
+"""Checks of settings: descriptions of allowed values, and errors for others.
 
-check("mode", mode, one_of("draw", "mean"))
+``check("mode", mode, one_of("draw", "mean"))`` raises ``ValueError`` for any other mode.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ _LARGEST = sys.float_info.max
 
 @dataclass(frozen=True)
 class Allowed:
-    """The values that a setting may have.
+    """The allowed values of a setting.
 
     Attributes:
         text: completes the sentence ``"<name> must be ..."``.
-        test: returns whether a value is one of them.
+        test: returns whether a value is allowed.
         per_replica: whether a list can give each replica a separate value.
     """
 
@@ -57,14 +57,14 @@ def at_least(low: float) -> Allowed:
 
 
 def integers(low: int, high: int = 10**9) -> Allowed:
-    """The integers from ``low`` to ``high``, which is a billion unless given."""
+    """The integers from ``low`` to ``high``, by default a billion."""
     text = f"an integer from {low} to {'10**9' if high == 10**9 else high}"
     return Allowed(text, lambda value: _is_integer(value) and low <= value <= high)
 
 
 ABOVE_ZERO = _number("positive and finite", lambda value: 0 < value < math.inf)
 AT_LEAST_ZERO = _number("at least 0 and finite", lambda value: 0 <= value < math.inf)
-# Networks and rewards are float32, which ends at 3e38: what is squared must stay below its root.
+# Networks and rewards are float32, at most 3e38, so squared values must be below its root.
 POSITIVE = numbers(1e-15, 1e15)
 NON_NEGATIVE = numbers(0, 1e15)
 REWARD = numbers(-1e15, 1e15)
@@ -76,9 +76,9 @@ NUMBER = _number("a number", lambda value: isinstance(value, float) or abs(value
 INTEGER = Allowed("an integer", _is_integer)
 COUNT = integers(1)
 NON_NEGATIVE_INTEGER = integers(0)
-SIZE = integers(1, 1_000)  # what memory is multiplied with
+SIZE = integers(1, 1_000)  # a factor of the memory use
 BATCH = integers(1, 100_000)
-THREADS = integers(1, 1024)  # torch crashes where it gets many times as many
+THREADS = integers(1, 1024)  # torch crashes with many times as many
 SEED = Allowed(
     "an integer from 0 to 2**63 - 1", lambda value: _is_integer(value) and 0 <= value < 2**63
 )
@@ -96,14 +96,14 @@ ANY_TEXT = Allowed("a text", lambda value: isinstance(value, str) and value != "
 
 
 def one_of(*choices: str) -> Allowed:
-    """The given texts."""
+    """The given strings."""
     if len(choices) == 1:
         return Allowed(f"{choices[0]!r}", lambda value: value == choices[0])
     return Allowed(f"one of {', '.join(choices)}", lambda value: value in choices)
 
 
 def or_text(allowed: Allowed, text: str) -> Allowed:
-    """The values of ``allowed``, and the word ``text``."""
+    """The values of ``allowed``, and the string ``text``."""
     return Allowed(
         f"{allowed.text} or {text!r}",
         lambda value: value == text or allowed.test(value),
@@ -112,7 +112,7 @@ def or_text(allowed: Allowed, text: str) -> Allowed:
 
 
 def optional(allowed: Allowed, meaning: str) -> Allowed:
-    """The values of ``allowed``, and null; ``meaning`` says what null does."""
+    """The values of ``allowed``, and null, which means ``meaning``."""
     return Allowed(
         f"{allowed.text} or null ({meaning})",
         lambda value: value is None or allowed.test(value),
@@ -121,9 +121,9 @@ def optional(allowed: Allowed, meaning: str) -> Allowed:
 
 
 def per_replica(allowed: Allowed) -> Allowed:
-    """The values of ``allowed``, and a list of them that the replicas share.
+    """The values of ``allowed``, and a list of them with one for each replica.
 
-    How long the list may be is checked where the number of replicas is known.
+    The length of the list is checked once the number of replicas is known.
 
     Examples:
         >>> per_replica(POSITIVE).test([0.1, 0.2]), per_replica(POSITIVE).test([0.1, -1])
@@ -139,16 +139,16 @@ def per_replica(allowed: Allowed) -> Allowed:
 
 
 def check(name: str, value: Any, allowed: Allowed, error: type[ValueError] = ValueError) -> Any:
-    """Returns a value that is allowed.
+    """Returns the value if it is allowed.
 
     Args:
-        name: of the setting, for the message.
+        name: the setting's name in the error message.
         value: the value.
-        allowed: the values that the setting may have.
+        allowed: the allowed values.
         error: the class of the error. Defaults to ``ValueError``.
 
     Raises:
-        ValueError: one sentence that names the setting, the value and what is allowed.
+        ValueError: one sentence that names the setting, the value and the allowed values.
 
     Examples:
         >>> check("mode", "drawn", one_of("draw", "mean"))

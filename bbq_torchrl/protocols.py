@@ -1,7 +1,7 @@
-"""Optional methods that the trainer calls, one protocol for each.
+"""Optional methods that the trainer calls, as protocols.
 
-A part need not inherit from a protocol: :func:`provides` looks for the methods. Each docstring says
-who calls a method and when; a part without it is used as it is.
+A class need not inherit from a protocol: :func:`provides` looks for the methods. Each docstring
+says when a method is called; the trainer skips methods that an object lacks.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ Methods = TypeVar("Methods")
 
 
 def provides(owner: object, protocol: type[Methods]) -> TypeGuard[Methods]:
-    """Returns whether an object has everything that a protocol names.
+    """Returns whether an object has every member of a protocol.
 
-    Unlike ``isinstance`` with a runtime-checkable protocol (from Python 3.12 on) it finds what a
-    wrapper such as TorchRL's ``TransformedEnv`` forwards to the object that it wraps.
+    Unlike ``isinstance`` with a runtime-checkable protocol (from Python 3.12 on), it finds members
+    that a wrapper such as TorchRL's ``TransformedEnv`` forwards to the wrapped object.
 
     Args:
         owner: the object.
@@ -42,10 +42,10 @@ def provides(owner: object, protocol: type[Methods]) -> TypeGuard[Methods]:
 
 
 def modules_with(root: nn.Module | None, protocol: type[Methods]) -> list[Methods]:
-    """Returns the submodules whose class has everything that a protocol names; [] for None.
+    """Returns the submodules whose class has every member of a protocol; [] for None.
 
-    A wrapper such as ``TensorDictModule`` is left out: the module that it wraps is in the list, and
-    must not be called twice.
+    Wrappers such as ``TensorDictModule`` are left out, so that the wrapped module, which is in the
+    list, is not called twice.
 
     Args:
         root: the module.
@@ -59,28 +59,28 @@ def modules_with(root: nn.Module | None, protocol: type[Methods]) -> list[Method
 
 
 class UsesNumData(Protocol):
-    """A loss that weighs a prior against the number of data."""
+    """A loss that weighs its prior by the number of data."""
 
     def set_num_data(self, num_data: Tensor) -> None:
-        """Takes the number of stored transitions, int64 [replicas]; called before learning."""
+        """Sets the number of stored transitions, int64 [replicas]; called before learning."""
 
 
 class BeginsEpochs(Protocol):
-    """A loss that does something once an epoch."""
+    """A loss with per-epoch work or state."""
 
     def begin_epoch(self) -> None:
-        """Called before each epoch over the buffers."""
+        """Prepares for an epoch; called before each epoch over the buffers."""
 
 
 class FixedTargets(Protocol):
-    """A loss whose targets may be computed once a freeze, for the whole buffer.
+    """A loss whose targets can be computed once per freeze, for the whole buffer.
 
-    Other losses compute their targets at every update, and so does one whose
-    ``has_fixed_targets`` is False.
+    Other losses, and those whose ``has_fixed_targets`` is False, compute their targets at every
+    update.
 
     Attributes:
         has_fixed_targets: whether the targets are the same for every batch until the next freeze.
-        tensor_keys: names, as ``next_state_value``, the entry of "next" that the values go to.
+        tensor_keys: the loss's keys; ``next_state_value`` names the entry of the values in "next".
     """
 
     @property
@@ -92,17 +92,17 @@ class FixedTargets(Protocol):
         """The loss's keys."""
 
     def next_state_values(self, tensordict: TensorDictBase, /) -> Tensor:
-        """Returns the frozen network's values of transitions [replicas, rows], the same shape."""
+        """Returns the frozen network's values, [replicas, rows, 1], for [replicas, rows]."""
 
 
 # -- modules of a policy ----------------------------------------------------------------------
 
 
 class Resampled(Protocol):
-    """A module that keeps something for a round, such as a draw of weights."""
+    """A module that draws something for a round, such as weights."""
 
     def resample(self) -> None:
-        """Draws anew; called before the episodes of a round are played."""
+        """Redraws; called before the dialogues of a round are played."""
 
 
 class Annealed(Protocol):
@@ -116,17 +116,17 @@ class Annealed(Protocol):
 
 
 class Seeded(Protocol):
-    """A transform with separate random numbers. Others draw none, or from torch's generator."""
+    """A transform with separate random numbers for each replica."""
 
     def set_seeds(self, seeds: Sequence[int], /) -> None:
-        """Takes a seed for each replica; called whenever the replay's shuffling is seeded."""
+        """Seeds each replica; called whenever the replay's shuffling is seeded."""
 
 
 class Measured(Protocol):
     """A transform that reports metrics."""
 
     def pop_metrics(self) -> Mapping[str, Tensor]:
-        """Returns metrics by name, each [replicas], of what was stored since the last call."""
+        """Returns metrics of the rows stored since the last call, by name, [replicas] each."""
 
 
 # -- environments and evaluators --------------------------------------------------------------
@@ -136,31 +136,31 @@ class RoundEnv(Protocol):
     """An environment that changes with the rounds (domain extension)."""
 
     def set_round(self, round: int, /) -> None:
-        """Enters a round; called before its dialogues are played, and before spiking with 0."""
+        """Enters a round; called before its dialogues are played, and with 0 before spiking."""
 
 
 def enter_round(env: object, round: int) -> None:
-    """Puts an environment that changes with the rounds into the state of a round."""
+    """Enters a round in an environment that changes with the rounds."""
     if provides(env, RoundEnv):
         env.set_round(round)
 
 
 class Stateful(Protocol):
-    """A part of a checkpoint."""
+    """A component of a checkpoint."""
 
     def state_dict(self) -> dict[str, Any]:
-        """Returns the state: tensors and JSON values in dicts, lists and tuples."""
+        """Returns the state, tensors and JSON values in dicts, lists and tuples."""
 
     def load_state_dict(self, state_dict: Mapping[str, Any], /) -> object:
-        """Restores what :meth:`state_dict` returned."""
+        """Restores the state from :meth:`state_dict`."""
 
 
 class BestSoFar(Stateful, Protocol):
-    """The weights that each replica had at its best evaluation."""
+    """The weights of each replica at its best evaluation."""
 
     @property
     def round(self) -> Tensor:
-        """The round of each replica's best, int64 [replicas]."""
+        """The round of each replica's best evaluation, int64 [replicas]."""
 
     @property
     def success_rate(self) -> Tensor:
@@ -168,17 +168,17 @@ class BestSoFar(Stateful, Protocol):
 
 
 class EvaluationHook(Protocol):
-    """Plays the policy that is to be reported, after every round."""
+    """Evaluates the reported policy after every round."""
 
     @property
     def best(self) -> BestSoFar:
         """The best weights so far; saved in every checkpoint."""
 
     def __call__(self, round_number: int) -> Mapping[str, float | Tensor]:
-        """Returns metrics of the round by name, one number or [replicas]; always the same names.
+        """Returns metrics of the round by name, one number or [replicas] each.
 
-        NaN stands for a round without an evaluation. It may use torch's global generator, but
-        none of the training's other sources of random numbers.
+        The names must be the same in every round; NaN marks a round without an evaluation. It may
+        use torch's global generator, but no other random number source of the training.
         """
 
 
@@ -188,9 +188,9 @@ class EvaluationHook(Protocol):
 class ReplicaOptimizer(Stateful, Protocol):
     """An optimizer of parameters whose first dimension is independent replicas.
 
-    :class:`~bbq_torchrl.trainers.ReplicaAdam` is one. Its random numbers, if any, come from torch's
-    global generator, which the trainer seeds for each epoch, and are drawn for all replicas at
-    every step.
+    An example is :class:`~bbq_torchrl.trainers.ReplicaAdam`. Random numbers, if any, must come from
+    torch's global generator, which the trainer seeds for each epoch, and must be drawn for all
+    replicas at every step.
     """
 
     @property
@@ -201,18 +201,18 @@ class ReplicaOptimizer(Stateful, Protocol):
         """Clears the gradients."""
 
     def step(self, active: Sequence[bool] | None = None) -> None:
-        """Updates the active replicas, all by default; the others stay bitwise the same."""
+        """Updates the active replicas, by default all; the others are bitwise unchanged."""
 
     def scale_lr(self, share: float) -> None:
-        """Sets the learning rate to this share of the first one; called where the rate falls."""
+        """Sets the learning rate to this share of the initial one; called if it is scheduled."""
 
 
 class Growing(Protocol):
     """A network that can start with inputs and outputs that come into use later.
 
-    ``BayesMLP``, ``BootstrapMLP``, ``FlatMLP`` and ``NoisyMLP`` are such networks; any other with
-    these three members is one, too. :func:`bbq_torchrl.networks.growth.reset_inactive_` refuses
-    networks without them.
+    ``BayesMLP``, ``BootstrapMLP``, ``FlatMLP`` and ``NoisyMLP`` implement it, and so can any other
+    network. :func:`bbq_torchrl.networks.growth.reset_inactive_` raises an error for networks
+    without these members.
     """
 
     @property
@@ -224,11 +224,9 @@ class Growing(Protocol):
         """Size of the output."""
 
     def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
-        """Starts the weights of inactive inputs and outputs.
-
-        Called without gradients, and with masks of the right shape.
+        """Initializes the weights of inactive inputs and outputs; called without gradients.
 
         Args:
-            inputs: bool [in_features], True for the inactive ones.
-            outputs: bool [out_features], the same.
+            inputs: bool [in_features], True for inactive inputs.
+            outputs: bool [out_features], True for inactive outputs.
         """
