@@ -1,4 +1,4 @@
-"""Bayesian layers: what torch's own layers compute with the same weights, draws, KL, own layers."""
+"""Bayesian layers against torch's layers with the same weights: draws, KL, custom layers."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ REPLICAS = [(), (3,), (2, 2)]
 
 
 class BayesScale(BayesLayer):
-    """A layer of one's own: a weight a feature."""
+    """A custom layer with one weight per feature."""
 
     def __init__(self, features, **settings):
         super().__init__([features], [1], **settings)
@@ -43,7 +43,7 @@ class BayesScale(BayesLayer):
 
 
 class Gain(nn.Module):
-    """A module that only holds a posterior."""
+    """A module that only contains a posterior."""
 
     def __init__(self, features, **settings):
         super().__init__()
@@ -54,7 +54,7 @@ class Gain(nn.Module):
 
 
 class OldGain(Gain):
-    """The same with a draw of its own, past the scope."""
+    """The same, but it draws without the scope."""
 
     def forward(self, x):
         return x * self.posterior.sample()
@@ -88,7 +88,7 @@ def made(name, **settings):
 
 @pytest.mark.parametrize("replicas", REPLICAS, ids=str)
 @pytest.mark.parametrize("name", LAYERS)
-def test_a_replica_is_a_layer_of_its_own(name, replicas):
+def test_a_replica_is_a_separate_layer(name, replicas):
     net, features = made(name, replicas=replicas)
     alone, _ = made(name)
     (own,) = posteriors(net)
@@ -140,7 +140,7 @@ def test_a_gru_takes_a_batch_without_rows():
 
 
 @pytest.mark.parametrize("name", ["linear", "mlp", "conv", "gru"])
-def test_mode_local_is_a_weight_draw_of_its_own_for_each_row(name):
+def test_mode_local_is_a_separate_weight_draw_for_each_row(name):
     # mean and covariance of the outputs of one input, by either way
     net, features = made(name)
     features = (1, 4) if name == "gru" else features

@@ -78,7 +78,7 @@ def test_fan_in_prior_keeps_the_spread_of_q_at_the_scale_of_the_input():
     assert spread == pytest.approx(variance**0.5, rel=0.05)
 
 
-def test_it_starts_at_the_prior_or_where_it_is_told():
+def test_it_starts_at_the_prior_or_at_std_init():
     net = BayesMLP(10, 3, (20,), prior_std=0.3, mean_init="zero", std_init=None)
     assert not net.posterior.mu.any()
     torch.testing.assert_close(net.posterior.sigma, torch.full_like(net.posterior.mu, 0.3))

@@ -1,4 +1,4 @@
-"""What settings may be: numbers, one for all replicas or one for each, and words.
+"""Allowed settings: numbers, one for all replicas or one for each, and words.
 
 tests/cli/test_values.py has how replicas with values of their own train.
 """
@@ -52,7 +52,7 @@ def test_both_ends_are_allowed_and_no_more(value, make):
         checked_number("gamma", make(value), (2,), PROBABILITY)
 
 
-def test_a_network_starts_each_replica_where_it_is_told():
+def test_a_network_starts_each_replica_at_its_std_init():
     stds = torch.tensor([0.01, 0.5])
     net = BayesMLP(3, 2, (4,), replicas=(2,), prior_std=stds, std_init=None)
     torch.testing.assert_close(net.posterior.sigma, stds[:, None].expand_as(net.posterior.rho))

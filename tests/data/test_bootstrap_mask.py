@@ -1,4 +1,4 @@
-"""Which heads learn from a transition."""
+"""The masks of heads that learn from a transition."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ def test_masks_start_from_torchs_generator():
 
 
 def test_masks_do_not_depend_on_padding_calls_or_the_other_replicas():
-    """The n-th transition that counts gets the n-th draw of its seed, whatever is around it."""
+    """The n-th valid transition gets the n-th draw of its seed, whatever surrounds it."""
     alone = []
     for seed in (3, 4):
         single = BootstrapMask(5)
@@ -72,7 +72,7 @@ def test_masks_do_not_depend_on_padding_calls_or_the_other_replicas():
 
 
 @pytest.mark.parametrize("copied", [deepcopy, lambda mask: pickle.loads(pickle.dumps(mask))])
-def test_copies_go_on_with_the_same_numbers(copied):
+def test_copies_continue_with_the_same_numbers(copied):
     transform = BootstrapMask(4, replicas=(2,))
     masks(transform, 2, 5)
     copy = copied(transform)

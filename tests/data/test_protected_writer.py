@@ -1,4 +1,4 @@
-"""The writer that leaves the first rows alone; test_replica_replay.py has what it keeps."""
+"""The writer that protects the first rows; test_replica_replay.py checks which rows stay."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Replay buffers of several replicas: epochs, eviction, spiking, state, what is added to rows."""
+"""Replay buffers of several replicas: epochs, eviction, spiking, state, transforms."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def rows(first: int, count: int) -> TensorDict:
 
 
 def filled(*lengths: int, capacity: int = 2000, transform=None) -> ReplicaReplay:
-    """A replay whose replica r holds so many rows, from number 10,000 r on."""
+    """A replay whose replica r contains lengths[r] rows, numbered from 10,000 r."""
     replay = ReplicaReplay(capacity, replicas=len(lengths), keys=KEYS, transform=transform)
     replay.extend([rows(10_000 * r, length) for r, length in enumerate(lengths)])
     return replay
@@ -62,7 +62,7 @@ def test_an_epoch_shows_every_transition_once_in_batches_of_one_shape():
 
 
 def numbers_of(replay: ReplicaReplay, batch_size: int, count: int) -> torch.Tensor:
-    """The numbers each replica sees in so many batches: [replicas, count * batch_size]."""
+    """The numbers each replica sees in ``count`` batches, [replicas, count * batch_size]."""
     batches = [batch for part in replay.batches(batch_size, count) for batch in part]
     assert len(batches) == count
     assert all(all(batch.active) for batch in batches)
@@ -119,7 +119,7 @@ ACTS = st.one_of(
 @settings(max_examples=40)
 @given(st.lists(ACTS, max_size=8))
 def test_each_replica_keeps_what_is_protected_and_the_newest_of_the_rest(acts):
-    """Against two lists for each replica, whatever is done to them in whatever order."""
+    """Compared with two lists for each replica, for any sequence of operations."""
     replay, capacity, written = filled(3, 1, capacity=5), 5, 100
     kept, newest = [[], []], [[0, 1, 2], [10_000]]
     for act, argument in acts:
@@ -166,7 +166,7 @@ def read(replay):
 def test_an_epoch_hands_out_each_transitions_own(lengths):
     replay = filled(*lengths)
     replay.compute(SQUARE, lambda td: -td["observation"])
-    replay.compute(SQUARE, square)  # in the place of what was computed before
+    replay.compute(SQUARE, square)  # replaces the earlier values
     replay.compute(("next", "reward"), lambda td: td["next", "reward"] + 1)  # of what is stored
     for _ in range(2):
         transitions = read(replay)
@@ -274,7 +274,7 @@ def test_a_state_of_another_transform_is_refused(transforms):
 
 
 def gone_round(capacity: int) -> dict:
-    """A state whose second replica has written over its first rows."""
+    """A state whose second replica has overwritten its first rows."""
     replay = filled(2, 3, capacity=capacity)
     replay.extend([rows(0, 0), rows(100, capacity - 1)])
     return replay.state_dict()

@@ -1,4 +1,4 @@
-"""Transitions that could not be learned from are refused when they are stored."""
+"""Invalid transitions are refused when they are stored."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def transitions() -> TensorDict:
 
 
 def at(key, row, value):
-    """An entry whose value is another in one row."""
+    """A copy of an entry with another value in one row."""
     entry = transitions()[key]
     entry[row] = value
     return key, entry

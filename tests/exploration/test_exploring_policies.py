@@ -1,4 +1,4 @@
-"""What every policy does, and what it refuses."""
+"""All policies: their actions, and errors."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ HEADS = 7
 
 
 class FixedValues(nn.Module):
-    """Head k's value of action a is a number of its own, 100 k + a, in every state."""
+    """Head k's value of action a is 100 k + a in every state."""
 
     def __init__(self, heads):
         super().__init__()

@@ -1,4 +1,4 @@
-"""How long a policy acts on what it has drawn: weights, noise, or one of its heads."""
+"""The lifetime of a policy's draws: weights, noise, or heads."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def thompson(replicas=(), shared=False, **settings):
 
 
 def heads(replicas=(), **settings):
-    # so many that a row hardly ever draws the same head again
+    # enough heads that a row hardly ever draws the same one again
     return BootstrapSampling(heads_actor(replicas, heads=1000), **settings)
 
 

@@ -1,4 +1,4 @@
-"""How often Thompson sampling takes an action: as often as the posterior has it be the best.
+"""Thompson sampling takes an action with its posterior probability of being the best.
 
 Every test compares counts of actions with the truth by a chi-square test, which fails at a p-value
 below 1e-6: by chance once in a million runs.
@@ -18,13 +18,13 @@ from bbq_torchrl.networks import q_actor
 
 FEATURES, ACTIONS, DRAWS = 4, 5, 4000
 LEAST_P = 1e-6
-# How the draws of one posterior are had: as rows with draws of their own, or (where a batch
-# shares one) as replicas of equal networks.
+# Many draws of one posterior: as rows with separate draws or, if a batch shares a draw, as replicas
+# of equal networks.
 WAYS = [("step", False), ("step", True), ("episode", False), ("round", False), ("round", True)]
 
 
 class OwnLayer(BayesLinear):
-    """As a layer of one's own is that says no more than what it does with its weights."""
+    """A custom layer without local reparameterization."""
 
     run_local = BayesLayer.run_local
 
@@ -97,7 +97,7 @@ def test_a_linear_networks_action_is_taken_as_often_as_it_is_the_best(kind, per,
     assert stats.chisquare(taken, expected, sum_check=False).pvalue > LEAST_P
 
 
-def test_evaluation_by_thompson_sampling_takes_a_layer_of_ones_own():
+def test_evaluation_by_thompson_sampling_takes_a_custom_layer():
     net = away_from_the_prior(OwnLayer(FEATURES, ACTIONS, replicas=2))
     actor = q_actor(net, Categorical(ACTIONS), action_mask_key=None)
     td = TensorDict(observation=torch.ones(2, 50, FEATURES), batch_size=[2, 50])

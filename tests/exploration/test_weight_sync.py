@@ -1,4 +1,4 @@
-"""Weights of an actor that reach its policies as TorchRL's trainers and collectors send them."""
+"""Syncing an actor's weights into its policies as TorchRL's trainers and collectors do."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ def weights(module: nn.Module) -> TensorDict:
 
 
 class Layer(TensorDictModuleBase):
-    """An actor that has a weight itself, not in a part of it."""
+    """An actor with a parameter on itself, not in a submodule."""
 
     def __init__(self) -> None:
         super().__init__()

@@ -49,7 +49,7 @@ def test_heads_are_networks_that_share_a_trunk_and_pass_it_the_mean_of_their_gra
         torch.testing.assert_close(ours, theirs / HEADS if trunk_layers else theirs)
 
 
-def test_every_head_of_every_replica_starts_with_weights_of_its_own():
+def test_every_head_of_every_replica_starts_with_separate_weights():
     net = make((3,), prior_scale=1.0)
     heads = torch.cat([net.heads.detach().flatten(0, 1), net.prior_heads.flatten(0, 1)])
     assert torch.unique(heads, dim=0).shape[0] == 2 * 3 * HEADS

@@ -1,4 +1,4 @@
-"""What networks and their actors have in common: precision, derivatives, what they refuse."""
+"""All networks and their actors: precision, derivatives, errors."""
 
 from __future__ import annotations
 
@@ -155,7 +155,7 @@ def test_a_mask_of_what_comes_late_that_does_not_fit_is_refused(make, masks, mes
 
 
 @pytest.mark.parametrize("net", [nn.Linear(3, 2), BayesConv2d(3, 2, 1), BayesGRU(3, 2)])
-def test_a_network_that_cannot_start_with_inactive_inputs_is_told_what_it_lacks(net):
+def test_a_network_that_cannot_start_with_inactive_inputs_is_refused(net):
     lacking = f"{type(net).__name__} cannot start with inactive inputs .* it needs in_features, "
     with pytest.raises(TypeError, match=rf"{lacking}.* reset_inactive_\(inputs, outputs\)"):
         reset_inactive_(net, inputs=torch.tensor([False, True, True]))

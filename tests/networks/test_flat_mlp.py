@@ -48,7 +48,8 @@ def test_dropout_drops_the_given_share_and_keeps_the_mean():
     hidden_bias.fill_(1.0)
     out.fill_(1 / 20_000)  # the output is the mean of the hidden units
     mean = mlp(torch.zeros(1, 1), flat, layout, dropout=0.25).item()
-    # kept with .75, then 4/3: the mean's standard error is (1/3)^.5 / 20000^.5 = .0041
+    # units stay with probability .75 and are multiplied by 4/3: the mean has a standard error of
+    # (1/3)^.5 / 20000^.5 = .0041
     assert abs(mean - 1) < 5 * 0.0041
     assert mean != 1
 
@@ -77,7 +78,7 @@ def test_it_drops_in_training_mode_and_never_in_mode_mean():
     assert not torch.equal(net(x, "draw"), net(x, "draw"))
 
 
-def test_each_row_of_each_replica_drops_units_of_its_own():
+def test_each_row_of_each_replica_drops_separate_units():
     net = FlatMLP(1, 64, (64,), replicas=(3,), dropout=0.5)
     out = net(torch.ones(3, 5, 1), "draw").flatten(0, 1)
     assert torch.unique(out, dim=0).shape[0] == 15

@@ -72,7 +72,7 @@ def test_a_masked_network_trains_as_a_smaller_one(kind, replicas):
 
 
 class OwnNetwork(nn.Linear):
-    """A network of one's own: no more than what Growing names."""
+    """A custom network with only the members of Growing."""
 
     def reset_inactive_(self, inputs, outputs):
         self.weight[:, inputs] = 0

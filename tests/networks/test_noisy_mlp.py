@@ -27,7 +27,7 @@ def noise(monkeypatch):
 
 
 def by_definition(net, x, noise):
-    """Outputs where each row has a matrix of weights μ + σ ∘ (ε_out ⊗ ε_in) of its own."""
+    """Outputs with a separate weight matrix μ + σ ∘ (ε_out ⊗ ε_in) for each row."""
     count = net.replicas.numel()
     out = x.reshape(count, -1, x.shape[-1])
     for k, layer in enumerate(net.layers):

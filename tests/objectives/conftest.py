@@ -1,4 +1,4 @@
-"""The losses that every convention is tested on."""
+"""The losses on which every convention is tested."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ LOSSES = {
 
 @pytest.fixture(params=LOSSES)
 def make(request):
-    """Makes a loss of each kind; without its KL, where it has one, by ``data_only``."""
+    """Makes a loss of each kind; with ``data_only`` it has no KL."""
 
     def loss(*args, data_only=False, **settings):
         if data_only and request.param == "bbqn":

@@ -1,4 +1,4 @@
-"""Actors of one's own: sequences of modules, convolutional and recurrent ones, bare networks."""
+"""Custom actors: sequences of modules, convolutional and recurrent ones, bare networks."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SPEC = Categorical(ACTIONS)
 
 
 def transitions():
-    """Transitions of 60 features, and with a recurrent state for the actors that have one."""
+    """Transitions of 60 features, with a recurrent state for recurrent actors."""
     td = q_transitions.transitions(batch=(ROWS,), features=60)
     td["state"], td["next", "state"] = torch.randn(2, ROWS, HIDDEN)
     return td

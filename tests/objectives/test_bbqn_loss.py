@@ -29,7 +29,7 @@ TARGETS = [("map", "mean"), ("mc", "independent"), ("mc", "shared")]
 
 
 def definition(loss, td, noises, *, target_noise, kl, noise_std, temperature, gamma, num_data, **_):
-    """Returns each replica's loss and KL by the formula, for the noise that was drawn."""
+    """Returns each replica's loss and KL by the formula, for the drawn noise."""
     net = loss.value_network[0].module
     mu, rho = flat(loss, "mu"), flat(loss, "rho")
     online_noise, *others = (noise.reshape(mu.shape) for noise in noises)
@@ -125,10 +125,10 @@ def test_values_of_replicas_are_where_the_network_is(name):
 
 
 def test_the_values_of_replicas_are_no_part_of_the_state_and_follow_the_loss():
-    """How replicas with values of their own learn, tests/cli/test_values.py shows."""
+    """tests/cli/test_values.py shows that replicas learn with separate values."""
     loss, _ = bayes_loss((3,), noise_std=torch.ones(3), kl_temperature=torch.zeros(3))
     assert loss.state_dict().keys() == bayes_loss((3,))[0].state_dict().keys()
-    # What is a buffer moves along with its module.
+    # A buffer moves along with its module.
     assert {"noise_std", "kl_temperature"} <= dict(loss.named_buffers()).keys()
 
 

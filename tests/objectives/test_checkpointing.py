@@ -1,4 +1,4 @@
-"""Activation checkpointing: the gradients are those without it."""
+"""Activation checkpointing leaves the gradients unchanged."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def called(function, *args):
 
 
 def gradients(run, parameters, call):
-    """The gradients of what ``run`` returns; of one draw, whoever calls."""
+    """The gradients of the output of ``run``, always with the same draw."""
     torch.manual_seed(0)
     return torch.autograd.grad(run(call), parameters, allow_unused=True)
 
@@ -86,7 +86,7 @@ def test_a_whole_loss_learns_the_same(make):
 
 
 class Block(nn.Module):
-    """A Bayesian layer that is run again for the gradient, with the weights of its first run."""
+    """A Bayesian layer is run again for the gradient with the weights of its first run."""
 
     def __init__(self):
         super().__init__()

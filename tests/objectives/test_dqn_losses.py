@@ -33,7 +33,7 @@ from bbq_torchrl.objectives import DropoutDQNLoss, NoisyDQNLoss
 
 
 def torchrl_loss_like(ours, element=0, **settings):
-    """TorchRL's own loss on a copy of an element's network and of its frozen copy."""
+    """TorchRL's loss on a copy of one replica's network and of its frozen copy."""
     net = FlatMLP(FEATURES, ACTIONS, (8, 8), dtype=torch.double)
     theirs = DQNLoss(q_actor(net, Categorical(ACTIONS)), delay_value=True, **settings)
     theirs.make_value_estimator(gamma=0.9)
@@ -128,22 +128,22 @@ def test_a_terminal_state_needs_no_legal_action():
     assert torch.equal(loss(td)["loss"], expected)
 
 
-# -- parameters put in the place of others -----------------------------------------------------
+# -- replaced parameters -----------------------------------------------------------------------
 
 
 def to_module(loss):
-    """Other parameters, as TensorDicts swap them within a context."""
+    """Replaces the parameters within a context, as TensorDicts do."""
     return TensorDict.from_module(loss).apply(lambda p: p + 1).to_module(loss)
 
 
 def to_targets(loss):
-    """Other parameters of the frozen copy within a context."""
+    """Replaces the parameters of the frozen copy within a context."""
     target = loss.target_value_network_params.data.apply(lambda p: p + 1)
     return TensorDict(target_value_network_params=target).to_module(loss)
 
 
 def to_parameters(loss):
-    """Other data in the parameters for good, as torch's own function writes them."""
+    """Replaces the parameters' data for good, with torch's function."""
     vector = nn.utils.parameters_to_vector(loss.parameters())
     nn.utils.vector_to_parameters(vector + 1, loss.parameters())
     return nullcontext()
@@ -159,7 +159,7 @@ def to_parameters(loss):
         (True, to_parameters),
     ],
 )
-def test_parameters_put_in_the_place_of_others_are_used(delay_value, replace):
+def test_replaced_parameters_are_used(delay_value, replace):
     actor = q_actor(FlatMLP(FEATURES, ACTIONS, (8,)), Categorical(ACTIONS))
     settings = {"delay_value": delay_value}
     ours, theirs = DropoutDQNLoss(actor, **settings), DQNLoss(deepcopy(actor), **settings)

@@ -37,7 +37,7 @@ def actions(policy):
 
 
 def episode(taken, right):
-    """Returns the transitions of an episode, [R, 2]; a second one only where the first moved on."""
+    """Returns the transitions of an episode, [R, 2]; the second only if the first moved on."""
     moved, found = (taken == right).unbind(1)
     always = torch.ones_like(moved)
     reward = [torch.where(moved, 0.0, SAFE), torch.where(found, RICH, POOR)]

@@ -19,7 +19,7 @@ STATES, COPIES, STEPS = 4, 400, 600
 
 @pytest.fixture
 def buffer():
-    """Makes a prioritized buffer of some rows; the test is skipped where TorchRL cannot."""
+    """Makes a prioritized buffer of some rows; skips the test if TorchRL cannot."""
 
     def filled(rows, batch_size=32):
         try:
@@ -56,7 +56,7 @@ def test_rows_are_drawn_by_the_error_that_the_loss_writes(make, buffer):
 
 
 def test_the_weighted_mean_of_what_is_drawn_is_that_of_the_buffer(buffer):
-    """With β = 1 the weights undo the drawing: the same loss on average as of all rows once."""
+    """With β = 1 the weights undo the sampling: the mean loss is that of all rows once."""
     loss, rows = plain_loss()[0], transitions()
     with torch.no_grad():
         whole = loss(rows)["loss_value"]
@@ -108,7 +108,7 @@ def test_a_rare_reward_is_learned_from_a_prioritized_buffer(kind, buffer):
 
 
 def corridor():
-    """Steps in a corridor: action 1 leads on, 0 back to its start; one row of the end, and pay."""
+    """Steps in a corridor: action 1 moves ahead, 0 to the start; one row has the rewarded end."""
     at = torch.arange(STATES).repeat_interleave(2).repeat(COPIES)
     action = torch.tensor([0, 1]).repeat(STATES * COPIES)
     end = (at == STATES - 1) & (action == 1)

@@ -1,4 +1,4 @@
-"""What losses refuse, when they are made and when they are called."""
+"""Errors of losses, when they are created and when they are called."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ def test_settings_outside_of_what_is_listed(make, settings, words):
 
 
 def replicas(value):
-    """An actor of a network that says it has these replicas."""
+    """An actor whose network has these replicas."""
     net = nn.Linear(FEATURES, ACTIONS)
     net.replicas = value
     return q_actor(net, Categorical(ACTIONS))

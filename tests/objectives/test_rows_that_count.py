@@ -1,4 +1,4 @@
-"""Which rows of a batch a loss learns from, in which dtypes, and that replicas are apart."""
+"""The rows of a batch that a loss learns from, their dtypes, and independent replicas."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from q_transitions import transitions
 
 
 def everything(loss, td):
-    """What a loss returns for each replica, and its gradients."""
+    """The outputs of a loss for each replica, and its gradients."""
     return [*result(loss, td).exclude("loss").values(), *gradients(loss, td)]
 
 
@@ -73,7 +73,7 @@ def test_rewards_may_be_whole_numbers_and_ends_and_masks_too(make):
 
 
 def data_shares(loss, td):
-    """What a batch gives for each replica, and its gradients."""
+    """The outputs for a batch for each replica, and the gradients."""
     out, outside = result(loss, td), {"loss", "kl"}
     return [out[key] for key in set(out.keys()) - outside] + [*gradients(loss, td)]
 

@@ -1,4 +1,4 @@
-"""A loss on values inside of torch.func: as by autograd and by a loop."""
+"""The TD loss under torch.func transforms, against autograd and a loop."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from bbq_torchrl.objectives.td_loss import Distance, td_loss
 
 
 def batch():
-    """Actions, targets and weights of rows of two replicas; one row does not count."""
+    """Actions, targets and weights of rows of two replicas; one row has no weight."""
     index, weight = torch.randint(4, (2, 6, 1)), torch.rand(2, 6, 1, dtype=torch.double)
     target = 3 * torch.randn(2, 6, 1, dtype=torch.double)
     weight[:, 1], target[:, 1] = 0, torch.nan
@@ -44,7 +44,7 @@ def test_gradients_are_autograds_and_none_for_targets_and_what_is_reported(dista
 @pytest.mark.parametrize("in_dims", [(0, 0), (0, None), (None, 0)], ids=str)
 @pytest.mark.parametrize("distance", get_args(Distance))
 def test_vmap_over_losses_is_a_loop(distance, in_dims):
-    """Also where all share the values, or the weights of the rows."""
+    """Values or row weights may be shared, too."""
     index, target, weight = batch()
     values = torch.randn(3, 2, 6, 4).double()
     weights = torch.stack([weight, weight.square(), 2 * weight])

@@ -1,4 +1,4 @@
-"""What TorchRL expects of a loss: keys, dispatch, functional parameters, copies."""
+"""TorchRL's conventions for losses: keys, dispatch, functional parameters, copies."""
 
 from __future__ import annotations
 
@@ -95,7 +95,7 @@ def test_the_discount_of_n_step_data_is_that_of_n_steps(make, gamma):
 
 
 @pytest.mark.parametrize("way", COPIES)
-def test_a_copy_is_the_same_loss_with_parameters_of_its_own(make, way):
+def test_a_copy_is_the_same_loss_with_separate_parameters(make, way):
     loss, other, td = make((2,)), make((2,)), transitions((2,))
     expected = result(loss, td)["loss"]
     result(other, td)  # what it may have kept of its own parameters is not used any more

@@ -1,4 +1,4 @@
-"""What every agent's updates have in common: they wait for no device, targets hold for a freeze."""
+"""Updates of all agents: they never wait for a device, and targets last for a freeze."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ AGENTS = {
 
 @pytest.fixture
 def build(restaurant_folder, tmp_path):
-    """Makes the configuration and the trainer of an agent, in a folder of a name."""
+    """Makes the configuration and the trainer of an agent, in a named folder."""
 
     def made(agent, name, *further):
         domain = ("domain=folder", f"domain.path={restaurant_folder}")

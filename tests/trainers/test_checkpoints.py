@@ -1,4 +1,4 @@
-"""Checkpoints: only tensors and JSON are loaded; where one is damaged, the one before is taken."""
+"""Checkpoints: only tensors and JSON are loaded, and damage falls back to the previous one."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ def flipped(member):
 
 
 def changed(member, change):
-    """Puts other JSON in the place of a member, with the right checksum."""
+    """Replaces the JSON of a member, with the right checksum."""
 
     def damage(path):
         def put(members):
@@ -118,7 +118,7 @@ def of_round(number):
 
 
 def compressed(path):
-    """A small file can be as large as anybody likes once it is unpacked."""
+    """A small compressed file may be arbitrarily large when unpacked."""
     with zipfile.ZipFile(path) as old:
         members = {name: old.read(name) for name in old.namelist()}
     members[f"{NETWORK}/state/tensor_00000001.memmap"] = bytes(10_000_000)
@@ -211,7 +211,7 @@ def test_a_checkpoint_of_a_device_that_is_absent_is_restored(tmp_path):
 
 
 def test_a_checkpoint_that_vanishes_while_it_is_opened_means_the_next_one(tmp_path, monkeypatch):
-    """The process that trains saves a newer one and removes this one."""
+    """The training process saves a newer checkpoint and removes this one."""
     saved, newer = save(tmp_path / "run", 4), save(tmp_path / "newer", 5)
     load = CheckpointFolder.load
 

@@ -1,4 +1,4 @@
-"""Dialogues played in lockstep: every one to its end, and only what is real is counted."""
+"""Dialogues played in lockstep, every one to its end; only real turns are counted."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_statistics_and_rows_are_those_of_the_dialogues_played_one_by_one():
 
 
 @pytest.mark.parametrize(("dialogues", "sizes"), [(4, [4]), (6, [4, 2]), (3, [3])])
-def test_each_replica_plays_as_many_as_asked_for_and_is_told_where_each_begins(dialogues, sizes):
+def test_each_replica_plays_as_many_as_asked_for_and_sees_where_each_begins(dialogues, sizes):
     batches = list(rollouts(GuessEnv(2, 4), random_policy, dialogues))
 
     assert [r.shape[:2] for r in batches] == [torch.Size([2, size]) for size in sizes]
@@ -56,7 +56,7 @@ def test_dialogues_are_not_chosen_by_their_length():
         [episode_stats(r).turns.flatten() for r in rollouts(GuessEnv(1, 100), random_policy, 2950)]
     ).double()
 
-    # A dialogue goes on after each turn, up to the last one, with a probability of one half.
+    # A dialogue continues after each turn, up to the last one, with a probability of one half.
     expected = sum(0.5**k for k in range(TURNS))
     assert len(turns) == 2950
     assert abs(float(turns.mean()) - expected) < 5 * float(turns.std()) / 2950**0.5
@@ -85,7 +85,7 @@ def test_the_policy_plays_in_evaluation_mode_and_gets_its_mode_back(exploration,
 
 
 class Counts(nn.Module):
-    """Has a buffer of the name of a hook, but no method."""
+    """A module with a buffer named like a hook, but without the method."""
 
     def __init__(self):
         super().__init__()
@@ -111,6 +111,6 @@ def test_optional_methods_are_found_by_name_without_inheritance(owner, protocol,
     assert provides(owner, protocol) is has_them
 
 
-def test_a_wrapper_that_hands_on_a_hook_is_not_called_besides():
+def test_a_wrapper_that_forwards_a_hook_is_not_called_too():
     policy = nn.Sequential(TensorDictModule(GREEDY, ["a"], ["b"]), Counts())
     assert modules_with(policy, Annealed) == [GREEDY]

@@ -117,8 +117,8 @@ def test_a_missing_package_is_named_with_how_to_install_it(monkeypatch, option, 
         option().check_ready()
 
 
-def test_a_resumed_run_goes_on_as_the_same_wandb_run(tmp_path, monkeypatch):
-    """With a stand-in for the package: its service is out of a test's reach."""
+def test_a_resumed_run_continues_the_same_wandb_run(tmp_path, monkeypatch):
+    """With a fake package, as tests cannot reach its service."""
     stand_in = MagicMock(__spec__=importlib.util.spec_from_loader("wandb", loader=None))
     stand_in.init.side_effect = lambda **options: MagicMock(id=options["id"] or "a-new-id")
     monkeypatch.setitem(sys.modules, "wandb", stand_in)
@@ -137,7 +137,7 @@ def test_a_resumed_run_goes_on_as_the_same_wandb_run(tmp_path, monkeypatch):
 
 
 def row(replica: int, evaluated: float = math.nan, **changed: float) -> dict[str, int | float]:
-    """A round's numbers, as the progress of a training takes them."""
+    """The metrics of a round, as the progress takes them."""
     row = {"round": 0, "replica": replica, "success_rate": 0.25 + 0.5 * replica}
     row |= {"reward": -10.0 + 4 * replica, "kl": 100.0, "seconds": 2.0}
     return {**row, "eval_success_rate": evaluated, **changed}

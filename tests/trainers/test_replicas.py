@@ -1,4 +1,4 @@
-"""What happens in one replica leaves the others bitwise alone: optimizer, sums, whole trainings."""
+"""Replicas never change each other, to the bit: optimizer, sums, whole training runs."""
 
 from __future__ import annotations
 
@@ -137,7 +137,7 @@ def weights(trainer: RoundTrainer) -> Tensor:
 
 
 def drop_the_spike(trainer: RoundTrainer, _: object) -> None:
-    """A callback: has replica 0 lose its spike after the second round."""
+    """A callback that drops the spike of replica 0 after the second round."""
     if trainer.rounds_done == 2:
         trainer.replay.drop_protected(0)
 
@@ -169,7 +169,7 @@ def test_what_one_replica_does_leaves_the_others_bitwise_alone(tmp_path, capacit
 
 
 def break_the_first(trainer: RoundTrainer, _: object) -> None:
-    """A callback: has the next round of replica 0 go wrong."""
+    """A callback that makes the next round of replica 0 fail."""
     weights(trainer)[0, 1, 1] = torch.nan
 
 
@@ -197,7 +197,7 @@ def new_best() -> tuple[nn.Module, BestWeights]:
 
 
 def test_each_replica_keeps_the_weights_of_its_own_best_round_resumed_or_not():
-    """In a training: tests/evaluation."""
+    """tests/evaluation checks it in a training run."""
     policy, best = new_best()
     with pytest.raises(ValueError, match="no best weights before the first evaluation"):
         best.put_back()

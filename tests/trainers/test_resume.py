@@ -1,4 +1,4 @@
-"""A training that is killed and resumed ends as one that was not, bit for bit."""
+"""A run that is killed and resumed ends like an uninterrupted one, bit for bit."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def die() -> None:
 
 
 def die_at(owner: object, name: str, call: int) -> None:
-    """Makes the process die when the function is called for that time."""
+    """Makes the process die at that call of the function."""
     function, calls = getattr(owner, name), count(1)
 
     def counted(*args: object, **kwargs: object) -> object:
@@ -56,7 +56,7 @@ def die_at(owner: object, name: str, call: int) -> None:
 
 
 def die_within_a_line(trainer: RoundTrainer, _: object) -> None:
-    """A callback: makes the process die with half a line of metrics.csv written."""
+    """A callback that makes the process die with half a line of metrics.csv written."""
     if trainer.rounds_done == 5:
         path = trainer.metrics.path
         path.write_bytes(path.read_bytes()[:-25])
@@ -69,7 +69,7 @@ def build(folder: Path, rounds: int = 10) -> RoundTrainer:
 
 
 def train(folder: Path, moment: str | None = None) -> None:
-    """Goes on with the training, or begins it, and dies at the moment."""
+    """Resumes the training, or starts it, and dies at the given moment."""
     trainer = build(folder)
     if moment == "within a line of the metrics":
         trainer.callbacks = (die_within_a_line,)
@@ -79,7 +79,7 @@ def train(folder: Path, moment: str | None = None) -> None:
 
 
 def assert_same_training(folder: Path, reference: RoundTrainer) -> None:
-    """Compares a finished training, by its last checkpoint, with one that was not interrupted."""
+    """Compares the last checkpoint of a finished run with that of an uninterrupted one."""
     ours = build(folder)
     ours.train(resume=True)
     assert ours.rounds_done == reference.rounds_done == 10
@@ -91,7 +91,7 @@ def assert_same_training(folder: Path, reference: RoundTrainer) -> None:
 
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory) -> RoundTrainer:
-    """A training that was never interrupted."""
+    """An uninterrupted run."""
     trainer = build(tmp_path_factory.mktemp("reference") / "run")
     rows = trainer.train()
     # The comparison means something only if the state that is carried over is a rich one: ragged
@@ -112,7 +112,7 @@ def test_a_training_killed_at_the_worst_moment_ends_the_same(tmp_path, reference
     assert not [path for path in (folder / "checkpoint").iterdir() if path.name.startswith(".")]
 
 
-def test_a_training_goes_on_for_more_rounds_and_after_damage_from_the_checkpoint_before(
+def test_training_continues_for_more_rounds_and_after_damage_from_the_previous_checkpoint(
     tmp_path, reference, caplog
 ):
     folder = tmp_path / "run"

@@ -82,7 +82,7 @@ def test_rounds_follow_the_protocol_and_move_schedules_and_environment(tmp_path,
 
 
 def noted(monkeypatch, owner, name, events):
-    """Has every call of a method be noted by its name."""
+    """Records every call of a method by its name."""
     method = getattr(owner, name)
 
     def called(*arguments):
@@ -92,7 +92,7 @@ def noted(monkeypatch, owner, name, events):
     monkeypatch.setattr(owner, name, called)
 
 
-def test_every_phase_and_epoch_of_every_replica_has_a_seed_of_its_own(tmp_path, monkeypatch):
+def test_every_phase_and_epoch_of_every_replica_has_a_separate_seed(tmp_path, monkeypatch):
     trainer = make_trainer(tmp_path, rounds=2, replicas=3)
     of_torch, of_env, of_replay = [], [], []
     monkeypatch.setattr(torch, "manual_seed", of_torch.append)
@@ -183,7 +183,7 @@ def test_what_the_parts_must_not_do_ends_the_first_round(tmp_path, case):
     assert not (tmp_path / "metrics.csv").exists()
 
 
-def test_a_folder_that_holds_a_training_is_not_overwritten(tmp_path):
+def test_a_folder_that_contains_a_run_is_not_overwritten(tmp_path):
     make_trainer(tmp_path, rounds=1).train()
     before = (tmp_path / "metrics.csv").read_text()
 

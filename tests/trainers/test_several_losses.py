@@ -16,7 +16,7 @@ from bbq_torchrl.vime import vime_losses
 
 
 class Still:
-    """An optimizer that leaves the gradients where they are."""
+    """An optimizer that neither steps nor clears the gradients."""
 
     replicas = 2
 

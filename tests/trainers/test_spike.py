@@ -1,4 +1,4 @@
-"""The spike: whose dialogues fill the buffers before the first round, and how long they stay."""
+"""The spike: the dialogues that fill the buffers before the first round, and their lifetime."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ def states(trainer):
 
 
 @pytest.mark.parametrize("dialogues", [8, 13])
-def test_it_fills_every_replica_with_dialogues_of_its_own(tmp_path, dialogues):
+def test_it_fills_every_replica_with_separate_dialogues(tmp_path, dialogues):
     trainer = make_trainer(tmp_path, spike=Spike(random_policy, dialogues))
 
     trainer.begin()
@@ -25,7 +25,7 @@ def test_it_fills_every_replica_with_dialogues_of_its_own(tmp_path, dialogues):
         assert int(buffer[:]["next", "done"].sum()) == dialogues
 
 
-def test_one_without_a_success_is_told(tmp_path, caplog):
+def test_a_replica_without_a_success_is_reported(tmp_path, caplog):
     def second_guesses(tensordict):
         tensordict = random_policy(tensordict)
         tensordict["action"][[0, 2]] = 1

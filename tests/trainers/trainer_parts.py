@@ -89,7 +89,7 @@ class ReplicaLinearQ(nn.Module):
 
 
 class CountingEGreedy(EGreedyModule):
-    """Counts the rounds for which it is asked to draw anew."""
+    """Counts the rounds in which it is resampled."""
 
     resampled = 0
 
@@ -98,7 +98,7 @@ class CountingEGreedy(EGreedyModule):
 
 
 class CountingLoss(DropoutDQNLoss):
-    """Remembers the numbers of data that it is told; the targets of its network are random."""
+    """A loss that records the numbers of data it gets; the targets of its network are random."""
 
     has_fixed_targets = False
     num_data: tuple[list[int], ...] = ()
