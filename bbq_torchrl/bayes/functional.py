@@ -194,7 +194,7 @@ def as_rows(x: Tensor, lead: Sequence[int], *features: int | str, name: str = "i
         name: the tensor's name in the error message.
 
     Raises:
-        ValueError: if the shape of ``x`` does not fit.
+        ValueError: for a wrong shape of ``x``.
     """
     n, end = len(lead), x.ndim - len(features)
     if end < n or x.shape[:n] != torch.Size(lead) or x.shape[end] != features[0]:
@@ -213,7 +213,7 @@ def mlp(x: Tensor, flat: Tensor, layout: FlatLayout, dropout: float = 0.0) -> Te
         dropout: probability of dropping a hidden unit; 0 draws no random numbers.
 
     Raises:
-        ValueError: if the shape of ``x`` does not fit.
+        ValueError: for a wrong shape of ``x``.
 
     Examples:
         >>> import torch
@@ -248,7 +248,7 @@ def mlp_local(x: Tensor, mu: Tensor, sigma: Tensor, layout: FlatLayout) -> Tenso
         layout: the layers.
 
     Raises:
-        ValueError: if the shape of ``x`` does not fit.
+        ValueError: for a wrong shape of ``x``.
     """
     hidden = as_rows(x, mu.shape[:-1], layout.sizes[0])
     means = layout.unflatten(mu.reshape(-1, layout.numel))

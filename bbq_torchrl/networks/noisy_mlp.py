@@ -204,7 +204,7 @@ class NoisyMLP(nn.Module):
                 :func:`~bbq_torchrl.bayes.scope.resolve_weight_mode` resolves.
 
         Raises:
-            ValueError: for another mode, or a shape that does not fit.
+            ValueError: for an unknown mode or a wrong shape.
         """
         mode = resolve_weight_mode(mode)
         for k, layer in enumerate(self.layers):
