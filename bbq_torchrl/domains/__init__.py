@@ -1,4 +1,4 @@
-"""Domains: what a dialogue is about, as data that a loader checks and turns into tensors."""
+"""Domains: the subject of a dialogue as data, checked by a loader and turned into tensors."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    # Imported when it is asked for: only tensors need torch, which takes seconds.
+    # Imported on first use: only tensors need torch, which takes seconds to import.
     if name in ("DomainTensors", "build_vocabulary", "tensorize"):
         from bbq_torchrl.domains import tensors
 

@@ -9,7 +9,7 @@ if __name__ == "__main__":  # before anything that takes time to import
 
 import sys
 
-# The one exception from "domains import nothing above them": a command is where people look for it.
+# The one import from a layer above: people look for the command here.
 from bbq_torchrl.calibrate import main
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""Cleans a corpus that people typed, so that its values match; the changes are counted."""
+"""Cleans a hand-typed corpus so that its values match, and counts the changes."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ if TYPE_CHECKING:
 def cleaned(
     corpus: Corpus, files: Mapping[str, Path], left_out: Iterable[str]
 ) -> tuple[Corpus, list[str]]:
-    """Returns a corpus with single blanks, and with values spelled as most places spell them.
+    """Returns a corpus with single blanks, and with every value in its most frequent spelling.
 
     Args:
         corpus: records, goals and lists of values.
-        files: where each is from; their names stand in what is said.
-        left_out: slots that nothing is left of.
+        files: the file of each, which the sentences about changes name.
+        left_out: slots to remove everywhere.
 
     Returns:
-        The corpus, and what was changed, a sentence each.
+        The corpus, and one sentence for each kind of change.
     """
     out = set(left_out)
 
@@ -70,7 +70,7 @@ def cleaned(
 
 
 def only_in_goals(domain: Domain) -> dict[str, tuple[str, ...]]:
-    """Returns by slot the values that goals have, and neither a list nor a record."""
+    """Returns, for each slot, the values that only goals have: no list and no record."""
     known = {(slot, fold(text)) for slot, texts in domain.error_values.items() for text in texts}
     known |= {(slot, fold(text)) for record in domain.records for slot, text in record.items()}
     known |= {(slot, fold(text)) for slot in domain.slots for text in RESERVED_TEXT.values()}
@@ -85,7 +85,7 @@ def only_in_goals(domain: Domain) -> dict[str, tuple[str, ...]]:
 def _changes(
     before: Corpus, after: Corpus, files: Mapping[str, Path], out: set[str]
 ) -> Iterator[str]:
-    """Says of each file which slots were left out, and how many values are written otherwise."""
+    """Yields, for each file, the slots left out and the number of values respelled."""
     for field, path in files.items():
         entries = before[field]
         dropped = Counter(
@@ -100,13 +100,13 @@ def _changes(
         old = [pair for pair in old if pair[0] not in out]
         if other := sum(one != two for one, two in zip(old, new, strict=True)):
             yield (
-                f"{path.name}: {other} of {len(old)} values are written otherwise, with single "
-                "blanks or as most places write them"
+                f"{path.name}: {other} of {len(old)} values are respelled, with single blanks or "
+                "in the most frequent spelling"
             )
 
 
 def _pairs(key: str, entry: Any) -> list[tuple[str, str]]:
-    """Returns slots with values of a record, of a goal, or of the list of a slot."""
+    """Returns the (slot, value) pairs of a record, a goal or a slot's list."""
     if isinstance(entry, Goal):
         entry = entry.constraints
     return list(entry.items()) if isinstance(entry, Mapping) else [(key, text) for text in entry]

@@ -1,4 +1,4 @@
-"""Dialogue acts as ids of the simulator, and back."""
+"""Conversion between dialogue acts as text and the simulator's ids."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains.tensors import DomainTensors
 
-_SAID_BY_USERS = ("request", "inform", "deny", "thanks", "closing")
-"""The acts of simulated users: an agent has learned from no others."""
+_USER_ACTS = ("request", "inform", "deny", "thanks", "closing")
+"""The acts of simulated users, the only ones that agents are trained on."""
 
 
 class Coding:
-    """The numbers of a domain's acts, slots and values.
+    """Encodes a domain's acts, slots and values as ids, and decodes them.
 
     Args:
         domain: the domain's tensors.
@@ -38,15 +38,15 @@ class Coding:
 
     def frame(self, act: int, informs: Sequence[int], requests: Sequence[bool]) -> Frame:
         """Returns the frame of an act, value ids ``[S]`` and requested slots ``[S]``."""
-        asked = (slot for slot, is_asked in zip(self.slots, requests, strict=True) if is_asked)
-        return Frame(self.acts[act], self.values(informs), tuple(asked))
+        requested = (slot for slot, is_set in zip(self.slots, requests, strict=True) if is_set)
+        return Frame(self.acts[act], self.values(informs), tuple(requested))
 
     def text(self, slot: int, value: int) -> str:
-        """Returns how the domain spells a value."""
+        """Returns the domain's spelling of a value."""
         return self._vocabulary[slot][value]
 
     def values(self, ids: Sequence[int]) -> dict[str, str]:
-        """Returns slot to value of the ids ``[S]``, without those that are 0."""
+        """Returns the values of the ids ``[S]`` by slot, without those that are 0."""
         return {
             slot: self._vocabulary[number][value]
             for number, (slot, value) in enumerate(zip(self.slots, ids, strict=True))
@@ -54,25 +54,25 @@ class Coding:
         }
 
     def ids(self, values: Mapping[str, str]) -> list[int]:
-        """Returns the value ids ``[S]``; values that the domain does not know are left out."""
+        """Returns the value ids ``[S]``; unknown values become 0."""
         return [
             ids.get(fold(values[slot]), NONE) if slot in values else NONE
             for slot, ids in zip(self.slots, self._ids, strict=True)
         ]
 
     def flags(self, requests: Sequence[str]) -> list[bool]:
-        """Returns the requested slots ``[S]``."""
+        """Returns a flag for every slot, ``[S]``: whether it is requested."""
         return [slot in requests for slot in self.slots]
 
     def act(self, heard: Frame, question: Frame | None, before: str) -> str:
-        """Returns the act of a simulated user that comes nearest to what was heard.
+        """Returns the simulated user's act that comes closest to a person's.
 
         Args:
-            heard: what was understood of a person.
+            heard: the frame understood.
             question: the agent's last act; ``None`` at the opening.
-            before: the act heard before, which a turn that says nothing repeats.
+            before: the act heard in the turn before, repeated by a turn without content.
         """
-        if heard.act in _SAID_BY_USERS:
+        if heard.act in _USER_ACTS:
             return heard.act
         if heard.requests:
             return "request"

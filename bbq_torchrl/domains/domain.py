@@ -1,4 +1,4 @@
-"""A domain of dialogues as plain data, and the checks that every domain passes."""
+"""A dialogue domain as plain data, and the checks that every domain passes."""
 
 from __future__ import annotations
 
@@ -26,45 +26,45 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains.parts import Action, Goal, ScriptedPolicySpec
 
 MAX_TURN_WIDTH = 1_000
-"""The widest one-hot turn: a feature each, in every observation."""
+"""The largest width of the one-hot turn, which adds as many features to every observation."""
 
 _RESERVED = {fold(text): key for key, text in RESERVED_TEXT.items()}
 
 
 @dataclass(frozen=True)
 class Domain:
-    """A domain of dialogues: everything the simulator needs to know, none of it code.
+    """A dialogue domain: everything the simulator needs to know, as data.
 
     Every field is checked on construction, so a ``Domain`` that exists is consistent.
 
     Args:
-        name: what the domain is called in configurations and results.
+        name: the domain's name in configurations and results.
         acts: dialogue acts; must contain :data:`REQUIRED_ACTS`.
         slots: slot names; their order is the order of all slot-wise features.
         actions: the agent's actions: slotless acts, then requests, informs, multiple choices.
         essential: slots that are active from the first round on.
-        extension_order: the slots that domain extension adds, first to last.
-        free_slots: slots that never constrain the records (the number of people, say).
-        ticket_slot: the slot every user requests: what is booked.
+        extension_order: the slots that domain extension adds, in order.
+        free_slots: slots that never constrain the records, such as the number of people.
+        ticket_slot: the slot that every user requests: the booking itself.
         complete_slot: the slot whose inform offers a booking.
-        opening_slot: the slot, or slots, informed in every first turn if the goal constrains them;
-            ``None`` for none.
+        opening_slot: the slot or slots informed in every first turn if the goal constrains them,
+            or ``None``.
         turn_width: length of the one-hot turn feature.
         policies: scripted policies by name.
         reference_slot_error_prob: the slot error probability that makes the domain as difficult
             as the reference setting.
         records: the knowledge base; slot to value, sparse.
         goals: the users' goals, drawn uniformly.
-        error_values: slot to the values that an error can put in its place, drawn uniformly
-            (a value listed twice is drawn twice as often).
-        skipped: what a loader left out of a corpus, a sentence each; for whoever reads results.
-        doubts: what a loader takes for slips of a corpus and leaves as it is, a sentence each.
-        folder: where it was loaded from, with phrases and measured errors next to it; ``None`` for
-            a domain of no folder. Where a domain lies makes it no other one.
+        error_values: slot to the values that an error can substitute, drawn uniformly (a value
+            listed twice is drawn twice as often).
+        skipped: the parts of a corpus that a loader left out, as sentences for the reports.
+        doubts: likely typing errors of a corpus that a loader kept, as sentences.
+        folder: the folder that the domain was loaded from, which may also have phrases and measured
+            errors; ``None`` for a domain built in memory. It does not take part in comparisons.
 
     Raises:
-        DomainError: a ``ValueError``, if anything above does not hold; it has every fault, and
-            names key, value and what is allowed.
+        DomainError: a ``ValueError``, if any of the above is violated. It lists all faults, each
+            with key, value and what is allowed.
     """
 
     name: str
@@ -88,13 +88,13 @@ class Domain:
     folder: Path | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        found = [Fault(place, text) for place, texts in _places(self) for text in texts]
+        found = [Fault(place, text) for place, texts in _faults(self) for text in texts]
         if found:
             raise DomainError(f"domain {shown(self.name)}", found)
 
     @property
     def special_slots(self) -> tuple[str, str]:
-        """The ticket and the complete slot: they take reserved values only."""
+        """The ticket and the complete slot, which take reserved values only."""
         return (self.ticket_slot, self.complete_slot)
 
     @property
@@ -109,21 +109,21 @@ class Domain:
         return tuple(str(action) for action in self.actions)
 
     def action_index(self, name: str) -> int:
-        """Returns the index of the action that is written ``name``.
+        """Returns the index of the action with the text ``name``.
 
         Raises:
             ValueError: if the domain has no such action.
         """
         if name not in self.action_names:
             raise ValueError(
-                f"{name!r} is no action of domain {self.name!r}, which has "
+                f"{name!r} is not an action of domain {self.name!r}, which has "
                 f"{', '.join(self.action_names)}"
             )
         return self.action_names.index(name)
 
 
-def _places(domain: Domain) -> Iterator[tuple[Place, Iterable[str]]]:
-    """Yields every place of a domain with its faults."""
+def _faults(domain: Domain) -> Iterator[tuple[Place, Iterable[str]]]:
+    """Yields the faults of each part of a domain."""
     for key, text in _fields(domain):
         yield (key,), [text]
     yield ("acts",), _acts(domain)
@@ -155,10 +155,10 @@ def _fields(domain: Domain) -> Iterator[tuple[str, str]]:
     if both := [slot for slot in domain.extension_order if slot in domain.essential]:
         text = f"extension_order must not contain essential slots, got {both} in both"
         yield "extension_order", text
-    told = [action.slot for action in domain.actions if action.kind in ACTION_KINDS[2:]]
-    known = {*told, *domain.error_values, *(slot for record in domain.records for slot in record)}
+    known = {action.slot for action in domain.actions if action.kind in ACTION_KINDS[2:]}
+    known |= {*domain.error_values, *(slot for record in domain.records for slot in record)}
     if known <= {*domain.free_slots}:
-        text = "free_slots must leave a slot to constrain the records by, got all that have values"
+        text = "free_slots must leave a slot that constrains the records, got all that have values"
         yield "free_slots", text
     if (ticket := domain.ticket_slot) == domain.complete_slot:
         text = f"ticket_slot and complete_slot must differ, got {ticket!r} for both"
@@ -172,7 +172,7 @@ def _fields(domain: Domain) -> Iterator[tuple[str, str]]:
     if not domain.records:
         yield "records", "the knowledge base is empty"
     if not domain.goals:
-        yield "goals", "there are no goals"
+        yield "goals", "the list of goals is empty"
 
 
 def _names(domain: Domain, key: str) -> Iterator[str]:
@@ -200,7 +200,7 @@ def _acts(domain: Domain) -> Iterator[str]:
 
 def _slots(domain: Domain) -> Iterator[str]:
     for slot in domain.slots:
-        # The features have other names: "all", and "0", "1", ... of the turn.
+        # "all" and the turn's "0", "1", ... are names of features.
         if not re.fullmatch(r"\w+", slot) or slot == "all" or slot.isdigit():
             yield (
                 f"slots must consist of letters, digits and underscores, not of digits alone, and "
@@ -239,7 +239,7 @@ def _actions(domain: Domain) -> Iterator[str]:
     if offer not in domain.action_names:
         yield f"actions must contain {offer}: without it nothing can be booked"
     if not {"thanks", "closing"} & set(domain.action_names):
-        yield "actions must contain thanks or closing: no dialogue succeeds without"
+        yield "actions must contain thanks or closing: without them no dialogue succeeds"
 
 
 def _action(domain: Domain, action: Action) -> Iterator[str]:
@@ -251,14 +251,14 @@ def _action(domain: Domain, action: Action) -> Iterator[str]:
     elif action.act in ACTION_KINDS[1:]:
         yield f"action {action} needs a slot, written {action.act}(slot)"
     if action.kind in ("request", "multiple_choice") and action.slot in domain.special_slots:
-        yield f"action {action} makes no sense: no user constrains {action.slot}"
+        yield f"action {action} has no effect: no user constrains {action.slot}"
 
 
 def _policy(domain: Domain, name: str, policy: ScriptedPolicySpec) -> Iterator[str]:
     key = f"policies.{name}"
     if name in ("", RANDOM_POLICY, PRIVILEGED_POLICY):
         yield (
-            f"policies must have names of their own, not empty, {RANDOM_POLICY} or "
+            f"policies must not have an empty name or the name {RANDOM_POLICY} or "
             f"{PRIVILEGED_POLICY}, got {name!r}"
         )
     if not policy.steps:
@@ -286,11 +286,11 @@ def _value(
     if slot not in domain.slots:
         yield from _unknown(domain, [slot])
     elif not isinstance(value, str) or not value.strip() or value.splitlines() != [value]:
-        yield f"{slot} must have one line of text, not blank, got {shown(value)}"
+        yield f"{slot} must be one line of text, not blank, got {shown(value)}"
     elif not value.isascii() and any("\ud800" <= letter <= "\udfff" for letter in value):
-        yield f"{slot} must have text that UTF-8 can hold, got {shown(value)}"
+        yield f"{slot} must be text that UTF-8 can encode, got {shown(value)}"
     elif _RESERVED.get(fold(value)) not in (None, *reserved):
-        yield f"{slot} must not have the reserved value {shown(value)}"
+        yield f"{slot} must not be the reserved value {shown(value)}"
 
 
 def _record(domain: Domain, record: Mapping[str, str]) -> Iterator[str]:
@@ -299,7 +299,7 @@ def _record(domain: Domain, record: Mapping[str, str]) -> Iterator[str]:
     for slot, value in record.items():
         yield from _value(domain, slot, value)
         if slot in domain.special_slots:
-            yield f"it must not hold the special slot {slot!r}"
+            yield f"it must not contain the special slot {slot!r}"
 
 
 def _goal(domain: Domain, goal: Goal) -> Iterator[str]:
@@ -310,7 +310,7 @@ def _goal(domain: Domain, goal: Goal) -> Iterator[str]:
         yield from _value(domain, slot, value, reserved=(DONT_CARE,))
     for slot in (*goal.constraints, *goal.requests):
         if slot in domain.special_slots:
-            yield f"it must not name {slot!r}: every goal requests the ticket as it is"
+            yield f"it must not name {slot!r}: every goal requests the ticket anyway"
     if both := [slot for slot in goal.requests if slot in goal.constraints]:
         yield f"it must not constrain and request the same slots {both}"
 

@@ -1,4 +1,4 @@
-"""The faults of a domain: all at once, each at its place."""
+"""The faults of a domain, reported together with their locations."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ if TYPE_CHECKING:
     from pathlib import Path
 
 Place = tuple[str | int, ...]
-"""A field of a domain and, where it has entries, which: ``("goals", 3)``, ``("policies", "rule")``.
-The third item of ``("error_values", slot, value)`` says which of the slot's values."""
+"""The location of a fault: a field of the domain and, if any, the entry, as in ``("goals", 3)`` or
+``("policies", "rule")``. ``("error_values", slot, value)`` locates one of a slot's values."""
 
 _IN_MEMORY = {"records": "record", "goals": "goal"}
-"""The units that a person counts in a domain that is not read from files."""
+"""The units of a domain that is not read from files."""
 
 
 class Fault(NamedTuple):
-    """One thing that is wrong, and where a person finds it.
+    """One fault and its location.
 
     Attributes:
-        place: in the domain; empty for the form of a file.
+        place: location in the domain; empty for a fault in a file's form.
         text: a sentence.
-        file: its name; empty for a domain that is not read from files.
-        unit: what the file is counted in.
-        number: which of them; ``None`` for the whole file.
+        file: the file's name; empty for a domain that is not read from files.
+        unit: the file's unit, such as ``"line"``.
+        number: the number of the unit; ``None`` for the whole file.
     """
 
     place: Place
@@ -39,13 +39,13 @@ class Fault(NamedTuple):
 
 @dataclass
 class Source:
-    """The content of one file of a domain, and the faults of its form.
+    """The content of one file of a domain, and the faults in its form.
 
     Attributes:
-        path: of the file.
-        content: as the domain has it.
-        faults: of its form; whether it fits the domain is checked by ``Domain``.
-        lines: the line of each place that is known.
+        path: the file.
+        content: the content as the domain's fields have it.
+        faults: faults in its form; ``Domain`` checks whether the content fits.
+        lines: the known line numbers by location.
     """
 
     path: Path
@@ -59,17 +59,17 @@ class Source:
         return self.path.name
 
     def fault(self, text: str, line: int | None = None) -> None:
-        """Notes what is wrong, with a line or with the file."""
+        """Adds a fault of a line, or of the whole file."""
         self.faults.append(Fault((), text, self.name, "line", line))
 
     def line(self, place: Place) -> int | None:
-        """Returns the line of a place of the domain, or of the one that it is a part of."""
+        """Returns the line of a location in the domain, or of the entry that contains it."""
         while place and place not in self.lines:
             place = place[:-1]
         return self.lines.get(place)
 
     def take(self, place: Place, read: Callable[[str, Any], Any], key: str, content: object) -> Any:
-        """Returns what a key says; ``None`` where it cannot be read, which is noted."""
+        """Returns the value of a key; ``None``, with a fault added, if it cannot be read."""
         try:
             return read(key, content)
         except ValueError as error:
@@ -77,7 +77,7 @@ class Source:
             return None
 
     def text(self) -> str | None:
-        """Returns the file's text; ``None`` where it cannot be decoded, which is noted."""
+        """Returns the file's text; ``None``, with a fault added, if it cannot be decoded."""
         try:
             # newline="" keeps line ends inside quoted CSV fields as they are.
             with self.path.open(encoding="utf-8-sig", newline="") as file:
@@ -88,26 +88,26 @@ class Source:
 
 
 class DomainError(FaultsError):
-    """A domain that does not fit together.
+    """An inconsistent domain.
 
     Args:
-        subject: what is wrong.
-        found: its faults, one or more.
+        subject: the domain or its folder.
+        found: its faults, at least one.
 
     Attributes:
-        found: the same, for those who can say where else a place of the domain is.
+        found: the same, for callers that add file names and lines.
     """
 
     def __init__(self, subject: str, found: Iterable[Fault]) -> None:
         self.found = tuple(found)
-        super().__init__(subject, tell(self.found))
+        super().__init__(subject, sentences(self.found))
 
 
-def tell(found: Iterable[Fault]) -> list[str]:
-    """Returns a sentence for every fault, in the order of files and lines.
+def sentences(found: Iterable[Fault]) -> list[str]:
+    """Returns the faults as sentences, in the order of files and lines.
 
-    Faults of the same text are one sentence: a slot that is unknown in a thousand records is not a
-    thousand faults.
+    Faults with the same text share one sentence: a slot that is unknown in a thousand records is
+    one fault.
     """
     places: dict[tuple[str, str, str], list[int]] = {}
     for place, text, file, unit, number in found:

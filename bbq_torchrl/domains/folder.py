@@ -1,10 +1,10 @@
-"""Reads and writes a domain as a folder of plain files.
+"""Loading and saving a domain as a folder of plain files.
 
 =====================  ==========================================================================
 ``domain.yaml``        acts, slots, actions, special slots, policies, difficulty
-``knowledge_base.csv`` a header of slots, then a record a line; an empty field is an absent value
-``goals.jsonl``        ``{"constraints": {slot: value}, "requests": [slot]}`` a line
-``values.json``        ``{slot: [value]}``: what an error can put in place of a slot's value
+``knowledge_base.csv`` a header of slots, then one record per line; empty fields are absent values
+``goals.jsonl``        one ``{"constraints": {slot: value}, "requests": [slot]}`` per line
+``values.json``        ``{slot: [value]}``: the values that an error can substitute
 =====================  ==========================================================================
 """
 
@@ -43,15 +43,15 @@ MOVIE_FOLDER = Path(__file__).parent / "movie"
 
 
 def load_domain(path: str | Path) -> Domain:
-    """Returns the domain that the folder ``path`` describes.
+    """Loads the domain in the folder ``path``.
 
     Args:
-        path: a folder with the four files named in this module's description.
+        path: a folder with the four files listed in this module's docstring.
 
     Raises:
         FileNotFoundError: if the folder or one of its files is missing.
-        DomainError: a ``ValueError``, if a file is damaged or the files do not fit together: every
-            fault with its file, its line, and what is allowed.
+        DomainError: a ``ValueError``, if a file is damaged or the files contradict each other. It
+            lists all faults, each with file, line and what is allowed.
     """
     folder = Path(expanduser(path))
     names = (SPECIFICATION_FILE, RECORDS_FILE, GOALS_FILE, VALUES_FILE)
@@ -70,7 +70,7 @@ def load_domain(path: str | Path) -> Domain:
         try:
             domain = Domain(**specification.content, **content, folder=folder)
         except DomainError as error:
-            # An empty table that could not be read is not another fault.
+            # A table that could not be read is empty, which is not a second fault.
             unread = {(name,) for name, table in tables.items() if table.faults}
             found += [fault for fault in error.found if fault.place not in unread]
         if not (tables["records"].faults or tables["error_values"].faults):
@@ -78,7 +78,7 @@ def load_domain(path: str | Path) -> Domain:
         found += [
             Fault(
                 item.place,
-                f"it has {item}: they differ {DIFFERENCE}, write both alike",
+                f"it has {item}: they differ {DIFFERENCE}, so write both alike",
             )
             for item in misspellings(**content)
         ]
@@ -113,11 +113,11 @@ def save_data(
 ) -> None:
     """Writes a domain's records, goals and values into ``folder``, which must exist.
 
-    ``domain.yaml``, which people write by hand, is left alone. Equal data give equal bytes.
+    ``domain.yaml``, which people write by hand, stays as it is. Equal data give equal bytes.
 
     Args:
-        folder: where the three files go.
-        slots: the columns of the records, in order; slots that no record has may be left out.
+        folder: the folder of the three files.
+        slots: the columns of the records, in order; slots without values may be left out.
         records: slot to value.
         goals: the users' goals.
         error_values: slot to values.
@@ -148,12 +148,12 @@ def _unknown_values(
     goals: Sequence[Goal],
     error_values: Mapping[str, Sequence[str]],
 ) -> list[Fault]:
-    """Finds goals that constrain a slot to a value that neither list nor record has.
+    """Finds goals that constrain a slot to a value that no list and no record has.
 
-    Such a value is a slip of the pen in a corpus that people wrote as a whole. One that is only
-    spelled otherwise is found as such.
+    In a hand-written corpus such a value is a typing error. Values that differ only in spelling are
+    reported as misspellings instead.
     """
-    # Reserved values are refused, or mean something.
+    # Reserved values are either refused elsewhere or have a meaning.
     known = {(slot, plain(text)) for slot in slots for text in RESERVED_TEXT.values()}
     known |= {(slot, plain(text)) for slot, texts in error_values.items() for text in texts}
     known |= {(slot, plain(text)) for record in records for slot, text in record.items()}

@@ -15,10 +15,10 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains.domain import Domain
 
 ANY = RESERVED_TEXT[DONT_CARE]
-"""The value of a slot that does not matter."""
+"""The value of a slot that the speaker does not care about."""
 
 NO_MATCH_TEXT, AVAILABLE_TEXT = RESERVED_TEXT[NO_MATCH], RESERVED_TEXT[AVAILABLE]
-"""An agent's words where no record matches, and where a booking is possible."""
+"""The agent's values if no record matches, and if a booking is possible."""
 
 _PART = re.compile(r"(?P<act>[A-Za-z_]\w*)(?:\((?P<content>[^()]*)\))?")
 _FRAME = re.compile(r"[A-Za-z_]\w*(\([^()]*\))?(\s+[A-Za-z_]\w*(\([^()]*\))?)*")
@@ -26,13 +26,13 @@ _FRAME = re.compile(r"[A-Za-z_]\w*(\([^()]*\))?(\s+[A-Za-z_]\w*(\([^()]*\))?)*")
 
 @dataclass(frozen=True)
 class Frame:
-    """A dialogue act of either side.
+    """A dialogue act of the user or the agent.
 
     Args:
         act: one of the domain's acts.
-        informs: slot to value, as the domain spells it; :data:`ANY` for "I do not care".
+        informs: slot to value, in the domain's spelling; :data:`ANY` for "I do not care".
         requests: the slots asked for.
-        choices: the values offered of the one slot in ``requests``; of ``multiple_choice`` alone.
+        choices: for ``multiple_choice`` only, the values offered of the one slot in ``requests``.
 
     Examples:
         >>> str(Frame("request", {"moviename": "wonka"}, ("theater", "date")))
@@ -48,7 +48,7 @@ class Frame:
 
     @property
     def dont_care(self) -> tuple[str, ...]:
-        """The slots that do not matter to who speaks."""
+        """The slots that the speaker does not care about."""
         return tuple(slot for slot, value in self.informs.items() if value == ANY)
 
     def __str__(self) -> str:
@@ -58,20 +58,20 @@ class Frame:
         if self.requests:
             parts["request"] = f"request({', '.join(self.requests)})"
         if self.informs:
-            told = ", ".join(f"{slot}={value}" for slot, value in self.informs.items())
-            parts["inform"] = f"inform({told})"
+            values = ", ".join(f"{slot}={value}" for slot, value in self.informs.items())
+            parts["inform"] = f"inform({values})"
         return " ".join((parts.pop(self.act, self.act), *parts.values()))
 
     @classmethod
     def parse(cls, text: str, domain: Domain | None = None) -> Frame:
-        """Returns the frame that ``text`` writes, as transcripts write it.
+        """Parses a frame in the notation of transcripts.
 
         Args:
-            text: ``"request(theater) inform(moviename=wonka)"``.
-            domain: whose acts and slots are allowed; ``None`` for any.
+            text: such as ``"request(theater) inform(moviename=wonka)"``.
+            domain: the domain whose acts and slots are allowed; ``None`` allows all.
 
         Raises:
-            ValueError: if it is written in another way, or names an unknown act or slot.
+            ValueError: if the notation is wrong, or the act or a slot is unknown.
         """
         act = ""
         informs: dict[str, str] = {}
@@ -87,14 +87,14 @@ class Frame:
             for item in (
                 re.split(r",\s+(?=\w+(?:=|,|$))", match["content"]) if match["content"] else ()
             ):
-                slot, is_told, value = item.partition("=")
+                slot, has_value, value = item.partition("=")
                 if match["act"] == "multiple_choice":
                     requests, choices = [slot], [*choices, value]
-                elif bool(is_told) != (match["act"] == "inform") or slot in informs:
+                elif bool(has_value) != (match["act"] == "inform") or slot in informs:
                     raise ValueError(
                         f"a frame requests slots and informs slot=value once, got {shown(text)}"
                     )
-                elif is_told:
+                elif has_value:
                     informs[slot] = value
                 else:
                     requests.append(slot)

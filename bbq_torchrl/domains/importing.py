@@ -1,7 +1,7 @@
-"""``python -m bbq_torchrl.domains import``: a corpus in MiuLab's form becomes a domain folder.
+"""``python -m bbq_torchrl.domains import``: a domain folder from a corpus in MiuLab's format.
 
-What files tell is read; what only a person knows (which slot is booked, which slots a booking
-needs, which never constrain the knowledge base) is given as arguments.
+Arguments give what the files do not say: the slot that is booked, the slots that a booking needs,
+and those that never constrain the knowledge base.
 """
 
 from __future__ import annotations
@@ -36,13 +36,13 @@ _TURN_WIDTH = 40
 def main(arguments: Sequence[str]) -> int:
     """Runs the command line. Returns the exit code."""
     given = _parser().parse_args(arguments)
-    domain, changes = import_corpus(**vars(given))  # named as its arguments
+    domain, changes = import_corpus(**vars(given))  # the same names
     lines = [
         f"{given.folder}: {len(domain.records)} records, {len(domain.goals)} goals, "
         f"{len(domain.slots)} slots, {len(domain.actions)} actions",
         *changes,
         f"{SPECIFICATION_FILE}: reference_slot_error_prob is 0; `python -m bbq_torchrl.domains "
-        f"calibrate domain=folder domain.path={given.folder}` finds that of a difficulty",
+        f"calibrate domain=folder domain.path={given.folder}` finds the one for a success rate",
     ]
     output.write("".join(f"{line}\n" for line in lines))
     return 0
@@ -51,16 +51,16 @@ def main(arguments: Sequence[str]) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = output.Parser(
         prog="python -m bbq_torchrl.domains import",
-        description="Writes a domain folder from a corpus in MiuLab's form (TC-Bot, DDQ, the "
-        "Microsoft Dialogue Challenge), and says what it left out or changed.",
+        description="Writes a domain folder from a corpus in MiuLab's format (TC-Bot, DDQ, the "
+        "Microsoft Dialogue Challenge), and reports what it left out or changed.",
     )
     for name, meaning in (
-        ("slots", "text file, a slot a line"),
-        ("acts", "text file, a dialogue act a line"),
+        ("slots", "text file with one slot per line"),
+        ("acts", "text file with one dialogue act per line"),
         ("kb", "pickle: {row: {slot: value}}"),
         ("goals", "pickle: [{diaact, inform_slots, request_slots}]"),
-        ("values", "pickle: {slot: [value]}, what an error can put in place"),
-        ("folder", "where the domain is written; new or empty"),
+        ("values", "pickle: {slot: [value]}, the values that an error can substitute"),
+        ("folder", "output folder, new or empty"),
     ):
         parser.add_argument(name, type=Path, help=meaning)
     add = parser.add_argument
@@ -70,8 +70,8 @@ def _parser() -> argparse.ArgumentParser:
         required=True,
         type=_names,
         metavar="SLOTS",
-        help="slots that a booking needs, with commas: the scripted policies request them in this "
-        "order, and domain extension begins with them",
+        help="slots that a booking needs, separated by commas: the scripted policies request them "
+        "in this order, and domain extension begins with them",
     )
     add(
         "--free",
@@ -86,16 +86,16 @@ def _parser() -> argparse.ArgumentParser:
         type=_names,
         default=(),
         metavar="SLOTS",
-        help="slots that users tell in their first turn",
+        help="slots that users inform in their first turn",
     )
     add(
         "--without",
         type=_names,
         default=(),
         metavar="SLOTS",
-        help="slots that goals, records and values are left without, such as greeting",
+        help="slots to remove from goals, records and values, such as greeting",
     )
-    add("--name", help="what the domain is called; the name of its folder by default")
+    add("--name", help="name of the domain; by default that of its folder")
     return parser
 
 
@@ -119,17 +119,17 @@ def import_corpus(
     without: Sequence[str] = (),
     name: str | None = None,
 ) -> tuple[Domain, list[str]]:
-    """Writes a domain folder from a corpus in MiuLab's form.
+    """Writes a domain folder from a corpus in MiuLab's format.
 
-    The agent can request every slot that users constrain or request and that is not special, and
-    inform every slot that records have. Slots beside the essential ones are added by domain
-    extension, those first that most goals name. Values that differ only in blanks, quotes and the
-    like are spelled as most places spell them.
+    The agent can request every ordinary slot that users constrain or request, and inform every slot
+    that records have. Domain extension adds the slots that are not essential, those named by most
+    goals first. Values that differ only in blanks, quotes and the like get their most frequent
+    spelling.
 
     Args:
-        folder: where the domain is written: new or empty.
-        slots: text file, a slot a line.
-        acts: text file, a dialogue act a line.
+        folder: output folder, new or empty.
+        slots: text file with one slot per line.
+        acts: text file with one dialogue act per line.
         kb: pickle of the records.
         goals: pickle of the users' goals.
         values: pickle of the lists of values.
@@ -137,21 +137,21 @@ def import_corpus(
         essential: the slots that a booking needs, in the order in which policies request them.
         free: the slots that never constrain the records.
         complete: the slot whose inform offers a booking. Defaults to ``"taskcomplete"``.
-        opening: the slots that users tell in their first turn.
-        without: slots that goals, records and values are left without.
-        name: what the domain is called. Defaults to the name of the folder.
+        opening: the slots that users inform in their first turn.
+        without: slots to remove from goals, records and values.
+        name: name of the domain. Defaults to the name of the folder.
 
     Returns:
-        The domain as it is read back, and what was left out or changed, a sentence each.
+        The domain as loaded from the new folder, and a sentence for each kind of change.
 
     Raises:
         FileNotFoundError: if a file is missing.
-        ValueError: if a file is damaged, an argument names an unknown slot, the folder has
-            files, or nothing is left of the corpus.
+        ValueError: if a file is damaged, an argument names an unknown slot, the folder is not
+            empty, or no usable entry remains.
     """
     folder = Path(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
-        raise ValueError(f"folder must be new or empty, got {folder}, which is there")
+        raise ValueError(f"folder must be new or empty, got {folder}, which exists already")
     listed, changes = _lines_of(Path(slots))
     allowed, more = _lines_of(Path(acts))
     changes += more
@@ -187,18 +187,18 @@ def import_corpus(
         "reference_slot_error_prob": 0.0,
     }
     domain = fitted(specification, corpus, files, "the corpus", skip_unusable=True)
-    unheard = only_in_goals(domain)
+    extra = only_in_goals(domain)
     changes += [
         *domain.skipped,
         *(
             f"{VALUES_FILE}: values of {slot} that only goals have are added: {len(texts)}"
-            for slot, texts in unheard.items()
+            for slot, texts in extra.items()
         ),
     ]
     lists = {
-        slot: (*domain.error_values.get(slot, ()), *unheard.get(slot, ()))
+        slot: (*domain.error_values.get(slot, ()), *extra.get(slot, ()))
         for slot in listed
-        if slot in domain.error_values or slot in unheard
+        if slot in domain.error_values or slot in extra
     }
     folder.mkdir(parents=True, exist_ok=True)
     text = yaml.safe_dump(
@@ -215,14 +215,14 @@ def import_corpus(
 
 
 def _lines_of(path: Path) -> tuple[tuple[str, ...], list[str]]:
-    """Returns the names in a text file, once each, and which stand there more than once."""
+    """Returns the distinct names in a text file, and a sentence about repeated ones."""
     source = Source(path)
     text = source.text()
     if text is None:
         raise DomainError(str(path), source.faults)
     counts = Counter(line.strip() for line in text.splitlines() if line.strip())
     if not counts:
-        raise ValueError(f"{path} must have a name a line, got none")
+        raise ValueError(f"{path} must have one name per line, got an empty file")
     twice = [name for name, count in counts.items() if count > 1]
     changes = [f"{path.name}: {', '.join(twice)} is listed more than once"] if twice else []
     return tuple(counts), changes
@@ -235,7 +235,7 @@ def _agent(
     special: tuple[str, str],
     essential: tuple[str, ...],
 ) -> dict[str, Any]:
-    """Returns the fields about what the agent can do: actions, order of slots and policies."""
+    """Returns the fields about the agent: actions, order of slots and policies."""
     ticket, complete = special
     goals: Iterable[Goal] = corpus["goals"].values()
     wanted = Counter(slot for goal in goals for slot in (*goal.constraints, *goal.requests))
@@ -267,7 +267,7 @@ def _agent(
 
 
 def _plain(specification: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns a specification as ``domain.yaml`` writes it."""
+    """Returns a specification in the form of ``domain.yaml``."""
     actions: dict[str, list[str]] = {kind: [] for kind in ACTION_KINDS}
     for action in specification["actions"]:
         actions[action.kind].append(action.slot or action.act)

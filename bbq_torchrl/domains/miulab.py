@@ -1,8 +1,7 @@
-"""Imports the public MiuLab movie-booking corpus (TC-Bot, MIT license) without trusting it.
+"""A safe reader of the public MiuLab movie-booking corpus (TC-Bot, MIT license).
 
-The corpus is a folder of Python 2 pickles. A pickle is a program: loaded plainly it can run
-anything. The reader here refuses every global, so that nothing but dicts, lists, texts and
-numbers can come out, and then checks each file's form.
+The corpus is a folder of Python 2 pickles. Unpickling can run any code, so the reader refuses every
+global: only dicts, lists, texts and numbers can come out. Then it checks each file's form.
 """
 
 from __future__ import annotations
@@ -15,7 +14,7 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from bbq_torchrl.checks import TEXT, check
 from bbq_torchrl.domains.domain import Domain
-from bbq_torchrl.domains.faults import DomainError, Fault, tell
+from bbq_torchrl.domains.faults import DomainError, Fault, sentences
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.domains.parts import Goal
 from bbq_torchrl.domains.specification import SPECIFICATION_FILE, read_specification
@@ -28,20 +27,21 @@ if TYPE_CHECKING:
 
 REFERENCE_SLOT_ERROR_PROB = 0.0581
 """The slot error probability (mode ``value``) at which the rule policy succeeds in 18.3 % of the
-dialogues on the default files: 18.31 % of 500,000 at 0.058, and 0.0119 less for every 0.01 more.
+dialogues on the default files. At 0.058 it succeeded in 18.31 % of 500,000; the rate falls by
+0.0119 per 0.01.
 """
 
 _GOAL_KEYS = {"diaact", "inform_slots", "request_slots"}
 _UNKNOWN = "UNK"
 
 Corpus = dict[str, dict[Any, Any]]
-"""Records, goals and lists of values, by the numbers and names that they have in the files."""
+"""Records, goals and lists of values, keyed as in the files."""
 
 _UNITS = {"records": "row", "goals": "goal", "error_values": "slot"}
 
 
 class _PlainUnpickler(pickle.Unpickler):
-    """Unpickles plain data and refuses whatever would import or call something."""
+    """Unpickles plain data and refuses everything that imports or calls something."""
 
     def find_class(self, module: str, name: str) -> NoReturn:
         raise pickle.UnpicklingError(f"it refers to {module}.{name}, only plain data is allowed")
@@ -60,26 +60,26 @@ def load_miulab(
 ) -> Domain:
     """Returns the movie domain with MiuLab's records, goals and values.
 
-    Acts, slots, actions and policies are those of our movie domain. Blank values, of which the
-    corpus has a few, count as absent. A value that only a goal has is allowed: the corpus is not
-    normalized, and some goals cannot be met.
+    Acts, slots, actions and policies are those of our movie domain. The few blank values of the
+    corpus count as absent. Goals may have values that no record has: the corpus is not normalized,
+    and some goals cannot be met.
 
-    Some of the public files hold a few entries that are none: goals that constrain and request the
-    same slot, slots that no list of slots has. They are left out, and ``skipped`` of the domain
-    says how many and which. The default files have none. Values that differ only in blanks and the
-    like stay as they are, and never match; ``doubts`` says where.
+    Some of the public files, though not the default ones, contain unusable entries: goals that
+    constrain and request the same slot, or unknown slots. They are left out and listed in the
+    domain's ``skipped``. Values that differ only in blanks and the like are kept although they
+    never match; ``doubts`` lists them.
 
     Args:
-        path: the folder that holds the three files.
+        path: the folder with the three files.
         goals: file with the list of user goals.
         kb: file with the knowledge base, row number to record.
         values: file with the possible values, slot to list.
-        skip_unusable: whether such entries are left out; otherwise they are refused.
+        skip_unusable: whether unusable entries are left out rather than refused.
 
     Raises:
         FileNotFoundError: if the folder or one of the files is missing.
-        ValueError: if a file is damaged or holds anything but plain data of the expected form, if
-            no entry is left, or, without ``skip_unusable``, if one cannot be used.
+        ValueError: if a file is damaged or contains anything but plain data of the expected form,
+            if no usable entry remains, or, without ``skip_unusable``, if an entry is unusable.
     """
     folder = Path(expanduser(path))
     if missing := [name for name in (goals, kb, values) if not (folder / name).is_file()]:
@@ -98,13 +98,13 @@ def read_corpus(files: Mapping[str, Path], acts: Sequence[str], ticket: str) -> 
     """Reads records, goals and lists of values, and checks each file's form.
 
     Args:
-        files: by ``records``, ``goals`` and ``error_values``.
-        acts: those that goals may have.
-        ticket: the slot that every goal requests, which is left out of them.
+        files: the paths by ``records``, ``goals`` and ``error_values``.
+        acts: the acts that goals may have.
+        ticket: the slot that every goal requests; goals leave it implicit.
 
     Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if a file is damaged or holds anything but plain data of the expected form.
+        FileNotFoundError: if a file is missing.
+        ValueError: if a file is damaged or contains anything but plain data of the expected form.
     """
     goals = files["goals"]
     return {
@@ -125,18 +125,18 @@ def fitted(
     *,
     skip_unusable: bool,
 ) -> Domain:
-    """Returns the domain of a corpus; entries that cannot be used are left out and named.
+    """Returns the domain of a corpus, without the entries that cannot be used.
 
     Args:
         specification: all fields of the domain but those of the corpus.
-        corpus: of :func:`read_corpus`.
-        files: as there; their names stand in what is said.
-        where: what is said to have faults.
-        skip_unusable: whether entries are left out; otherwise they are refused.
+        corpus: the result of :func:`read_corpus`.
+        files: the same as there; messages name them.
+        where: the subject of the error message.
+        skip_unusable: whether unusable entries are left out rather than refused.
 
     Raises:
-        DomainError: if the specification does not fit together, if no entry is left, or, without
-            ``skip_unusable``, if one cannot be used.
+        DomainError: if the specification is inconsistent, if no usable entry remains, or, without
+            ``skip_unusable``, if an entry is unusable.
     """
     names = {field: path.name for field, path in files.items()}
     faults: list[Fault] = []
@@ -148,8 +148,8 @@ def fitted(
                 records=tuple(usable["records"].values()),
                 goals=tuple(usable["goals"].values()),
                 error_values=usable["error_values"],
-                skipped=(*_changes(names, corpus, usable), *tell(faults)) if faults else (),
-                doubts=tuple(tell(dict.fromkeys(_misspelled(names, usable)))),
+                skipped=(*_changes(names, corpus, usable), *sentences(faults)) if faults else (),
+                doubts=tuple(sentences(dict.fromkeys(_misspelled(names, usable)))),
             )
         except DomainError as error:
             if own := [fault for fault in error.found if fault.place[0] not in names]:
@@ -166,16 +166,16 @@ def fitted(
 
 
 def _key(corpus: Corpus, name: str, which: Sequence[str | int]) -> Any:
-    """Returns what the file calls the entry that a place of the domain is in; ``None`` for none."""
+    """Returns the file's key of the entry at a location in the domain, or ``None``."""
     if name == "error_values" or not which:
         return which[0] if which else None
     return list(corpus[name])[int(which[0])]
 
 
 def _without(corpus: Corpus, found: Iterable[Fault], slots: Sequence[str]) -> Corpus:
-    """Returns the corpus without what the faults are about.
+    """Returns the corpus without the faulty entries.
 
-    Of a record with unknown slots only these are left out, of a list only the values named.
+    A record loses only its unknown slots, a list only its faulty values.
     """
     left = {name: dict(entries) for name, entries in corpus.items()}
     for (field, *which), *_ in found:
@@ -198,16 +198,16 @@ def _without(corpus: Corpus, found: Iterable[Fault], slots: Sequence[str]) -> Co
 
 
 def _changes(files: Mapping[str, str], whole: Corpus, left: Corpus) -> Iterator[str]:
-    """Yields how many entries of each file were changed."""
+    """Yields the number of changed entries of each file, as a sentence."""
     for name, before in whole.items():
         unlike = sum(left[name].get(key) != entry for key, entry in before.items())
         if unlike:
             entries = f"{unlike} of {len(before)} {_UNITS[name]}s"
-            yield f"{files[name]}: {entries} are left out or in part"
+            yield f"{files[name]}: {entries} are left out wholly or in part"
 
 
 def _misspelled(files: Mapping[str, str], corpus: Corpus) -> Iterator[Fault]:
-    """Yields where values never match others; an example for each file."""
+    """Yields the locations of values that never match others, with one example per file."""
     texts: dict[str, str] = {}
     for item in misspellings(
         tuple(corpus["records"].values()), tuple(corpus["goals"].values()), corpus["error_values"]
@@ -220,20 +220,19 @@ def _misspelled(files: Mapping[str, str], corpus: Corpus) -> Iterator[Fault]:
 
 
 def read_plain_pickle(path: str | Path) -> Any:
-    """Returns the dicts, lists, texts and numbers that the pickle file ``path`` holds.
+    """Returns the dicts, lists, texts and numbers in a pickle file.
 
-    Nothing is imported, called or built but those. Byte strings of Python 2 are read as UTF-8.
-    Some public copies went through Git or an editor on Windows, which ends every line with CRLF.
-    They are read as they were before.
+    Nothing else is imported, called or built. Byte strings of Python 2 are read as UTF-8. CRLF line
+    ends, which Git or an editor on Windows put into some public copies, are undone.
 
     Raises:
-        FileNotFoundError: if there is no such file.
-        ValueError: if the file is no pickle, is truncated, has bytes after its end, or refers to
+        FileNotFoundError: if the file is missing.
+        ValueError: if the file is not a pickle, is truncated, has bytes after its end, or refers to
             any class, function or outside object.
     """
     raw = Path(path).read_bytes()
-    # A dict or list starts so in protocol 0 alone. That is text, in which a line end is never part
-    # of a value; a binary pickle may hold the same two bytes as a length or a text.
+    # Only protocol 0 starts a dict or list like this. It is text, in which a line end is never part
+    # of a value; a binary pickle may contain the same two bytes as a length or a text.
     if raw.startswith((b"(d", b"(l")):
         raw = raw.replace(b"\r\n", b"\n").rstrip(b"\n")
     stream = io.BytesIO(raw)
@@ -241,7 +240,7 @@ def read_plain_pickle(path: str | Path) -> Any:
         content = _PlainUnpickler(stream, encoding="utf-8").load()
     except Exception as error:  # a damaged pickle raises nearly anything, from KeyError to EOFError
         is_memory = isinstance(error, MemoryError)
-        reason = "it asks for more memory than there is" if is_memory else sentence(error)
+        reason = "it asks for more memory than the machine has" if is_memory else sentence(error)
         raise ValueError(
             f"{path} is not a pickle of plain data: {reason or type(error).__name__}"
         ) from error
@@ -266,7 +265,7 @@ def _expect_mapping(where: str | Path, content: object, key_type: type) -> Mappi
 
 
 def _slot_values(where: str, content: object) -> dict[str, str]:
-    """Returns slot to value; blank values are left out."""
+    """Returns the values by slot, without blank ones."""
     values = _expect_mapping(where, content, str)
     texts = {slot: check(f"{where}, {slot}", value, TEXT) for slot, value in values.items()}
     return {slot: text for slot, text in texts.items() if text.strip()}
@@ -278,7 +277,7 @@ def _records(path: Path) -> dict[int, dict[str, str]]:
 
 
 def _values(path: Path) -> dict[str, tuple[str, ...]]:
-    """Returns slot to values; a value that is listed twice stays so and is drawn twice as often."""
+    """Returns the values by slot; a value listed twice stays twice, and is drawn twice as often."""
     lists = _expect_mapping(path, read_plain_pickle(path), str)
     if not lists:
         raise ValueError(f"{path} {NEEDS_VALUES}")

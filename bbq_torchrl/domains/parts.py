@@ -19,23 +19,23 @@ REQUIRED_ACTS = (
     "thanks",
     "deny",
 )
-"""The acts whose meaning the user simulator knows; a domain may add others."""
+"""The acts that the user simulator interprets; a domain may add others."""
 
 ACTION_KINDS = ("act", "request", "inform", "multiple_choice")
-"""In the order of the actions: those without a slot, then those that carry one."""
+"""The kinds of actions in their order: first those without a slot, then those with one."""
 
 RANDOM_POLICY = "random"
-"""The name of the policy that every domain has besides its own."""
+"""The name of the random policy, which every domain has."""
 
 PRIVILEGED_POLICY = "clairvoyant"
-"""The name of the policy that reads the user's hidden goal: a reference for agents."""
+"""The name of the policy that reads the user's hidden goal, a reference for agents."""
 
 PolicyKind = Literal["script", "careful", "repair"]
 
 
 @dataclass(frozen=True)
 class Action:
-    """One de-lexicalized action of the agent; the tracker fills the value in.
+    """One de-lexicalized action of the agent; the tracker fills in the value.
 
     Args:
         act: the dialogue act that the user hears.
@@ -70,13 +70,13 @@ class Action:
 
 @dataclass(frozen=True)
 class Goal:
-    """The wishes of one user: slots with the values they must have, and slots to be told.
+    """A user's goal: slots with required values, and slots whose value is requested.
 
     Every user also wants the ticket; it is not listed in ``requests``.
 
     Args:
-        constraints: slot to value; ``"I do not care"`` is a value that every record meets.
-        requests: slots whose value the user wants to hear.
+        constraints: slot to value; every record meets the value ``"I do not care"``.
+        requests: the slots whose value the user asks for.
     """
 
     constraints: Mapping[str, str]
@@ -88,10 +88,10 @@ class ScriptedPolicySpec:
     """A hand-written policy as data.
 
     Args:
-        kind: ``"script"`` plays ``steps``, which are actions, in order, whatever the user says.
-            ``"careful"`` requests those slots of ``steps`` that are unfilled, answers the user's
-            requests, offers the booking and ends. ``"repair"`` lets the user talk, requests the
-            filled slots of ``steps`` again where it was misunderstood, answers, offers and ends.
+        kind: ``"script"`` plays the actions ``steps`` in order, whatever the user says.
+            ``"careful"`` requests the unfilled slots of ``steps``, answers the user's requests,
+            offers the booking and ends. ``"repair"`` lets the user talk, requests the filled slots
+            of ``steps`` again after a misunderstanding, answers, offers and ends.
         steps: action texts for a script, slot names for the other kinds.
     """
 

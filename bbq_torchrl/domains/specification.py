@@ -1,4 +1,4 @@
-"""Reads ``domain.yaml``: all of a domain but its records, goals and values."""
+"""The reader of ``domain.yaml``: all of a domain but its records, goals and values."""
 
 from __future__ import annotations
 
@@ -21,15 +21,14 @@ if TYPE_CHECKING:
 
 SPECIFICATION_FILE = "domain.yaml"
 
-_HARMLESS: dict[str, Any] = {
+_PLACEHOLDERS: dict[str, Any] = {
     "name": "domain",
     "opening_slot": None,
     "turn_width": 1,
     "policies": {},
     "reference_slot_error_prob": 0.0,
 }
-"""Placeholders for keys that cannot be read, so that the rest of a domain can be checked."""
-
+"""Values for keys that cannot be read, so that the rest of a domain can be checked."""
 
 _LIST = Allowed("a list of names", lambda value: isinstance(value, list))
 _MAPPING = Allowed(
@@ -39,18 +38,15 @@ _MAPPING = Allowed(
 
 
 def read_specification(path: Path) -> Source:
-    """Returns what ``domain.yaml`` says, and what is wrong with its form.
-
-    Args:
-        path: the file.
+    """Reads ``domain.yaml``.
 
     Returns:
-        The fields of a :class:`~bbq_torchrl.domains.Domain`, all but ``records``, ``goals`` and
-        ``error_values``. What could not be read is harmless where nothing else depends on it;
-        without what a domain cannot be made without, there are no fields.
+        The fields of a :class:`~bbq_torchrl.domains.Domain` but ``records``, ``goals`` and
+        ``error_values``, and the faults in the file's form. Unreadable fields get a placeholder if
+        no other check depends on them; otherwise there are no fields.
 
     Raises:
-        FileNotFoundError: if there is no such file.
+        FileNotFoundError: if the file is missing.
     """
     found = Source(path, {})
     text = found.text()
@@ -78,7 +74,7 @@ def _lines(node: yaml.Node | None, parent: Place = ()) -> dict[Place, int]:
 
 
 def _read(found: Source, content: object) -> None:
-    """Takes the fields out of a mapping, and notes what is wrong with each."""
+    """Reads the fields from a mapping, and adds their faults."""
     readers: dict[str, Callable[[str, Any], Any]] = {
         **dict.fromkeys(("acts", "slots", "essential", "extension_order", "free_slots"), _names),
         **dict.fromkeys(("name", "ticket_slot", "complete_slot"), partial(check, allowed=TEXT)),
@@ -103,8 +99,8 @@ def _read(found: Source, content: object) -> None:
         value = found.take((key,), readers[key], key, given.get(key))
         if len(found.faults) == before or value:
             fields[key] = value
-        elif key in _HARMLESS:
-            fields[key] = _HARMLESS[key]
+        elif key in _PLACEHOLDERS:
+            fields[key] = _PLACEHOLDERS[key]
     if len(fields) == len(readers):
         found.content = fields
 
@@ -123,7 +119,7 @@ def _actions(found: Source, key: str, content: object) -> tuple[Action, ...]:
 
 
 def _policies(found: Source, key: str, content: object) -> dict[str, ScriptedPolicySpec]:
-    """Returns those that can be read."""
+    """Returns the readable policies."""
     policies = {
         name: found.take((key, name), _policy, f"{key}.{name}", entry)
         for name, entry in check(key, content, _MAPPING).items()

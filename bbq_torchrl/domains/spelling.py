@@ -1,4 +1,4 @@
-"""Values that look the same and never match: a stray blank, another quote."""
+"""Values that look the same but do not match: a stray blank, another quotation mark."""
 
 from __future__ import annotations
 
@@ -21,20 +21,20 @@ _ALIKE = {
     **dict.fromkeys("\u2010\u2011\u2012\u2013\u2014\u2015\u2212", "-"),
 }
 DIFFERENCE = "only in blanks, quotes, dashes or how letters are encoded"
-"""In what values differ that are :func:`plain` alike."""
+"""The possible differences of values whose :func:`plain` forms are equal."""
 
 _LETTERS = str.maketrans(_ALIKE)
 _RESERVED = {fold(text): text for text in RESERVED_TEXT.values()}
 
 
 class Misspelling(NamedTuple):
-    """A value that never matches another one of its slot, from which it seems not to differ.
+    """A value that looks like another value of its slot but does not match it.
 
     Attributes:
-        place: where it is in the domain.
-        slot: whose value it is.
-        text: as it is written there.
-        usual: as most places write it, or a reserved value.
+        place: its location in the domain.
+        slot: its slot.
+        text: its spelling.
+        usual: the most frequent spelling, or a reserved value.
     """
 
     place: Place
@@ -43,16 +43,16 @@ class Misspelling(NamedTuple):
     usual: str
 
     def __str__(self) -> str:
-        # In ASCII, where a no-break space and a letter of two characters can be seen.
+        # In ASCII, which shows a no-break space and a letter of two characters.
         return f"{self.slot} = {self.text!a}, which never matches {self.usual!a}"
 
 
 @lru_cache(maxsize=50_000)
 def plain(text: str) -> str:
-    r"""Returns what a person reads of a value: without case, and with one kind of blank and quote.
+    r"""Returns a value's visible content: without case, with one kind of blank, quote and dash.
 
-    Compatibility forms of letters (NFKC), quotes and dashes become one each. Blanks at the ends,
-    repeated blanks and characters without width go.
+    Compatibility forms of letters (NFKC) are unified. Leading, trailing and repeated blanks and
+    characters without width are removed.
 
     Examples:
         >>> plain(" Freddy\u2019s\u00a0 Pizza") == plain("freddy's pizza")
@@ -70,7 +70,7 @@ def misspellings(
     goals: Sequence[Goal],
     error_values: Mapping[str, Iterable[str]],
 ) -> list[Misspelling]:
-    """Finds values of a slot that are :func:`plain` alike and do not match.
+    """Finds values of a slot that do not match although their :func:`plain` forms are equal.
 
     Args:
         records: slot to value.
@@ -78,7 +78,7 @@ def misspellings(
         error_values: slot to values.
     """
     written: dict[tuple[str, str], list[tuple[Place, str]]] = defaultdict(list)
-    for place, slot, text in _places(records, goals, error_values):
+    for place, slot, text in _values(records, goals, error_values):
         if isinstance(text, str):
             written[slot, plain(text)].append((place, text))
     found = []
@@ -97,12 +97,12 @@ def misspellings(
     return found
 
 
-def _places(
+def _values(
     records: Sequence[Mapping[str, str]],
     goals: Sequence[Goal],
     error_values: Mapping[str, Iterable[str]],
 ) -> Iterator[tuple[Place, str, str]]:
-    """Yields every value with its place and slot."""
+    """Yields (location, slot, value) for every value."""
     for name, entries in (
         ("records", records),
         ("goals", [goal.constraints for goal in goals]),

@@ -1,4 +1,4 @@
-"""Reads a domain's records, goals and values, each from a separate file, line by line."""
+"""Readers of a domain's records, goals and values."""
 
 from __future__ import annotations
 
@@ -22,14 +22,13 @@ GOALS_FILE = "goals.jsonl"
 VALUES_FILE = "values.json"
 
 NEEDS_VALUES = (
-    "must list the values of at least one slot: without any, an error of mode 'value' changes "
-    "nothing"
+    "must list the values of at least one slot: without them an error of mode 'value' has no effect"
 )
-"""The message for an empty file of values."""
+"""The fault of an empty file of values."""
 
 
 def read_records(path: Path) -> Source:
-    """Reads a knowledge base: a header of slots, then a record a line."""
+    """Reads a knowledge base: a header of slots, then one record per line."""
     table = Source(path)
     text = table.text()
     if text is None:
@@ -66,7 +65,7 @@ def read_goals(path: Path) -> Source:
     table = Source(path)
     text = table.text()
     goals: list[Goal] = []
-    # Not splitlines: it also breaks at characters that JSON allows inside of a text.
+    # Not splitlines, which also breaks at characters that JSON allows inside a text.
     lines = text.removesuffix("\n").split("\n") if text else []
     for number, line in enumerate(lines, start=1):
         try:
@@ -90,7 +89,7 @@ def _goal(content: Any) -> Goal:
 
 
 def read_values(path: Path) -> Source:
-    """Reads what errors put in place: ``{slot: [values]}``."""
+    """Reads the values that errors substitute: ``{slot: [values]}``."""
     table = _Values(path, {})
     text = table.text()
     if text is None:
@@ -114,12 +113,12 @@ def read_values(path: Path) -> Source:
 
 
 class _Values(Source):
-    """Values: JSON does not tell lines, so that they are looked for when they are asked for."""
+    """A file of values, which searches its text for line numbers: ``json`` does not report them."""
 
     written = ""
 
     def line(self, place: Place) -> int | None:
-        """Returns the line of a slot, or of the first of its values that is written so."""
+        """Returns the line of a slot, or of the first of its values with this text."""
         line, start = None, 0
         for written in place[1:]:
             colon = r"\s*:" if line is None else ""
@@ -131,7 +130,7 @@ class _Values(Source):
 
 
 def _written(text: str) -> str:
-    """Returns a pattern for a text as JSON has it, its letters as they are or escaped."""
+    """Returns a pattern for a text in JSON, with its letters escaped or not."""
     ways = dict.fromkeys(json.dumps(text, ensure_ascii=ascii) for ascii in (False, True))
     return f"(?:{'|'.join(map(re.escape, ways))})"
 

@@ -1,4 +1,4 @@
-"""A domain as tensors of ids: what the batched simulator works on."""
+"""A domain as tensors of ids, for the batched simulator."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Movable:
     """An object whose tensors are its attributes."""
 
     def to(self, device: torch.device | str) -> Self:
-        """Returns the same object with every tensor on ``device``."""
+        """Returns a copy with every tensor on ``device``."""
         moved = copy(self)
         for name, value in vars(self).items():
             if isinstance(value, torch.Tensor):
@@ -48,15 +48,15 @@ class DomainTensors(Movable):
         complete: id of the complete slot.
         opening: bool ``[S]``, informed in every first turn if the goal constrains them.
         action_act: long ``[N]``, the act of each action.
-        action_slot: long ``[N]``, the slot that each requests, informs or offers, or -1.
-        has_choices: whether one of them is a multiple choice.
-        records: long ``[rows, S]``, value ids, 0 where the record has none.
-        goal_constraints: long ``[G, S]``, value ids, 0 where the goal has none.
+        action_slot: long ``[N]``, the slot that each action requests, informs or offers, or -1.
+        has_choices: whether any action is a multiple choice.
+        records: long ``[rows, S]``, value ids, 0 for absent values.
+        goal_constraints: long ``[G, S]``, value ids, 0 for slots without a constraint.
         goal_requests: bool ``[G, S]``, the ticket slot included.
         n_values: long ``[S]``, number of value ids of each slot, reserved ones included.
-        constrains: bool ``[S]``, whether a held value of the slot constrains the records.
-        error_values: long ``[S, E]``, what an error can put in place, padded with 0.
-        error_count: long ``[S]``, how many of ``error_values`` count.
+        constrains: bool ``[S]``, whether the slot's tracked value constrains the records.
+        error_values: long ``[S, E]``, the values that an error can substitute, padded with 0.
+        error_count: long ``[S]``, the number of ``error_values`` without the padding.
         vocabulary: per slot, id to text; id 0 is the empty text.
     """
 
@@ -85,8 +85,8 @@ class DomainTensors(Movable):
 def build_vocabulary(domain: Domain) -> tuple[tuple[str, ...], ...]:
     """Returns, per slot, the text of each value id.
 
-    A slot's values are the error values, then those of the records, then those of the goals that
-    are in neither; spellings that differ in case alone are one value, shown in the first of them.
+    A slot has the error values first, then the other values of records, then those of goals.
+    Spellings that differ only in case are one value, with the first spelling as its text.
     """
     texts: list[dict[str, str]] = [{} for _ in domain.slots]
     position = {slot: index for index, slot in enumerate(domain.slots)}

@@ -1,7 +1,7 @@
-"""The value ids that mean the same in every slot of every domain.
+"""The reserved value ids, which mean the same in every slot of every domain.
 
-The simulator holds each slot's value as an integer id. The first four ids are reserved and named
-here, once; the slot's own values follow from :data:`FIRST_VALUE` on.
+The simulator represents each slot's value as an integer id. The first four ids are reserved; the
+values of the slot follow from :data:`FIRST_VALUE` on.
 """
 
 from __future__ import annotations
@@ -12,19 +12,19 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
 NONE = 0
-"""The slot holds nothing."""
+"""The slot has no value."""
 
 DONT_CARE = 1
-"""The user has no preference; it matches every record."""
+"""The user has no preference. It matches every record."""
 
 NO_MATCH = 2
-"""The agent found no record to take a value from; it matches no record."""
+"""The agent found no matching record with a value. It matches no record."""
 
 AVAILABLE = 3
-"""At least one record can be booked; only the ticket and the complete slot take it."""
+"""At least one record can be booked. Only the ticket and the complete slot take this value."""
 
 FIRST_VALUE = 4
-"""The id of a slot's first own value."""
+"""The first id that is not reserved."""
 
 RESERVED_TEXT: dict[int, str] = {
     DONT_CARE: "I do not care",
@@ -35,10 +35,10 @@ RESERVED_TEXT: dict[int, str] = {
 
 
 def fold(text: str) -> str:
-    """Returns the form in which two spellings of a value are compared: without case.
+    """Returns the form in which two values are compared: without case.
 
-    White space counts: the public movie corpus holds ``" standard"`` beside ``"standard"``, and
-    there the two do not match each other.
+    White space counts: the public movie corpus has ``" standard"`` and ``"standard"``, which do not
+    match.
 
     Examples:
         >>> fold("Deadpool") == fold("deadpool")

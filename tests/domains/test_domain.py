@@ -1,4 +1,4 @@
-"""A domain that exists is consistent: everything else is refused by name."""
+"""Domains: consistent data is accepted, every inconsistency is refused by name."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ SLOTS = (
 
 
 def actions(*first):
-    """Actions, the first of which are others."""
+    """The domain's actions, with the first ones replaced."""
     return {"actions": (*first, *ACTIONS[len(first) :])}
 
 
@@ -75,7 +75,7 @@ FAULTS = {
     "slot all": ({"slots": (*SLOTS, "all")}, "slots must consist of letters.*got 'all'"),
     "slot of digits": ({"slots": (*SLOTS, "0")}, "slots must consist of letters.*got '0'"),
     "ticket not free": ({"free_slots": ("booking",)}, "ticket_slot must be among free_slots"),
-    "all slots free": ({"free_slots": SLOTS}, "leave a slot to constrain the records by"),
+    "all slots free": ({"free_slots": SLOTS}, "leave a slot that constrains the records"),
     "action twice": ({"actions": (*ACTIONS, ACTIONS[-1])}, r"distinct.*inform\(booking\)"),
     "action order": ({"actions": ACTIONS[::-1]}, "slotless acts, then requests"),
     "action act unknown": (actions(Action("shrug")), "unknown act 'shrug'"),
@@ -90,16 +90,16 @@ FAULTS = {
     "policy farewell": (actions(Action("closing")) | careful("area"), "needs the action 'thanks'"),
     "policy confirm": (actions() | careful("area", "repair"), "needs the action 'confirm_answer'"),
     "policy slot": (careful("zip", "repair"), "policies.x names the unknown slot 'zip'"),
-    "policy random": ({"policies": {"random": THANKS}}, "names of their own.*got 'random'"),
-    "policy clairvoyant": ({"policies": {"clairvoyant": THANKS}}, "own.*got 'clairvoyant'"),
-    "policy without name": ({"policies": {"": THANKS}}, "names of their own.*got ''"),
+    "policy random": ({"policies": {"random": THANKS}}, "not have.*got 'random'"),
+    "policy clairvoyant": ({"policies": {"clairvoyant": THANKS}}, "not have.*got 'clairvoyant'"),
+    "policy without name": ({"policies": {"": THANKS}}, "not have.*got ''"),
     "record slot": ({"records": ({"zip": "1"},)}, "record 0.*unknown slot 'zip'"),
     "record number": ({"records": ({"area": 3},)}, "record 0.*area.*3"),
     "goal request": ({"goals": (Goal({}, ("zip",)),)}, "goal 0.*unknown slot 'zip'"),
     "values reserved": ({"error_values": {"area": ("I do not care",)}}, "reserved"),
     "values special": ({"error_values": {"booking": ("yes",)}}, "special slot 'booking'"),
 }
-"""Those that the damaged folders of test_folder.py do not have."""
+"""Faults that the damaged folders of test_folder.py do not cover."""
 
 
 @pytest.mark.parametrize(("change", "message"), FAULTS.values(), ids=FAULTS)
@@ -113,7 +113,7 @@ def test_all_faults_are_refused_at_once_by_an_error_that_survives_pickling(resta
     texts = {
         "name": "name of a domain must not be empty",
         "turn_width": "turn_width must be between",
-        "goals": "there are no goals",
+        "goals": "the list of goals is empty",
     }
     with pytest.raises(ValueError, match="domain ") as caught:
         replace(restaurant, **change)

@@ -1,4 +1,4 @@
-"""The folder of a domain: what is written is read back, and damage is named."""
+"""Domain folders: what is saved loads again, and damage is reported."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def test_saving_what_was_loaded_changes_no_byte(restaurant, folder, tmp_path):
         assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
 
 
-# Whatever may stand in a line: commas, quotes, spaces at the ends, other scripts.
+# Any one-line text: commas, quotes, spaces at the ends, other scripts.
 RESERVED = {"i do not care", "no match", "ticket available"}
 TEXT = st.text(
     st.characters(exclude_categories=["Cs", "Cc", "Zl", "Zp"]) | st.sampled_from(",\"'\t")
@@ -108,9 +108,9 @@ EDITED = {
     ),
 }
 WRITTEN = {
-    "line break": (CSV, 'area,day\n"no\nrth",today\n', "line 2: area must have one line"),
+    "line break": (CSV, 'area,day\n"no\nrth",today\n', "line 2: area must be one line"),
     "long": (GOALS, json.dumps("x" * 1_000_000), r"must have the keys .* characters \.\.\.\]"),
-    "blank value": (VALUES, '{"area": [\n"north",\n" "]}', "line 3: area must have one line of"),
+    "blank value": (VALUES, '{"area": [\n"north",\n" "]}', "line 3: area must be one line of"),
     "no value, of a slot that is also a value": (
         VALUES,
         '{"cuisine": ["area"],\n "area": []}\n',
@@ -148,10 +148,10 @@ def test_every_fault_of_every_file_is_named_at_once_with_its_line(folder, restau
         "  domain.yaml, line 19: turn_width must be an integer, got 'wide'",
         "  domain.yaml, line 22: policies.rule needs the action 'request(zip)', which is not among "
         + ", ".join(restaurant.action_names),
-        "  knowledge_base.csv, line 2: day must have one line of text, not blank, got ' '",
+        "  knowledge_base.csv, line 2: day must be one line of text, not blank, got ' '",
         "  goals.jsonl, line 2: it wants cuisine = 'martian', a value that is neither in "
         "values.json nor in knowledge_base.csv",
-        "  goals.jsonl, line 3: cuisine must not have the reserved value 'no match'",
+        "  goals.jsonl, line 3: cuisine must not be the reserved value 'no match'",
         "  values.json, line 2: it names the unknown slot 'zip'; the slots are "
         + ", ".join(restaurant.slots),
     ]
@@ -168,7 +168,7 @@ def test_what_cannot_be_read_hides_no_fault_of_another_file_or_line(folder):
     for fault in (
         "knowledge_base.csv: the header, a line of slot names, is missing",
         "unknown slot 'kitchen'",
-        "goals.jsonl, line 2: cuisine must not have the reserved value",
+        "goals.jsonl, line 2: cuisine must not be the reserved value",
         "goals.jsonl, line 21: it is not valid JSON",
     ):
         assert fault in str(caught.value)

@@ -1,4 +1,4 @@
-"""A corpus in MiuLab's form becomes a domain folder that loads, plays and trains."""
+"""Importing a corpus in MiuLab's format: the domain folder loads, plays and trains."""
 
 from __future__ import annotations
 
@@ -109,11 +109,11 @@ def test_what_is_left_out_or_changed_is_said_by_file(imported, tmp_path):
     assert code == 0
     for line in (
         "kb.p: taxi is left out of 1 of 7 entries",
-        "kb.p: 1 of 27 values are written otherwise, with single blanks or as most places write",
-        "kb.p: 1 of 7 rows are left out or in part",
+        "kb.p: 1 of 27 values are respelled, with single blanks or in the most frequent",
+        "kb.p: 1 of 7 rows are left out wholly or in part",
         "kb.p, row 7: it names the unknown slot 'id'",
         "goals.p: greeting is left out of 1 of 9 entries",
-        "goals.p: 1 of 9 goals are left out or in part",
+        "goals.p: 1 of 9 goals are left out wholly or in part",
         "goals.p, goal 7: it must not constrain and request the same slots ['pickup']",
         "values.json: values of pickup that only goals have are added: 1",
     ):
@@ -132,13 +132,13 @@ def test_the_public_movies_can_be_imported_and_play_as_they_do(tcbot, miulab, tm
     choices += ["--free", "numberofpeople,closing", "--opening", "moviename"]
     given = [*(str(tcbot / name) for name in files), str(tmp_path / "new"), *choices]
     assert calibrate.main(["import", *given]) == 0
-    assert "written otherwise" in capsys.readouterr().out
+    assert "respelled" in capsys.readouterr().out
     domain = load_domain(tmp_path / "new")
     assert domain.name == "films"
     assert (domain.slots, domain.acts) == (miulab.slots, miulab.acts)
     assert (len(domain.records), len(domain.goals)) == (len(miulab.records), len(miulab.goals))
     assert {*miulab.essential} == {*domain.essential}
-    # Goals and records are MiuLab's, but for blanks: so is what the policy books.
+    # Goals and records are MiuLab's except for blanks, so the policy books as often.
     assert abs(played(domain, "careful_essential") - played(miulab, "careful_essential")) < 0.15
 
 
@@ -150,7 +150,7 @@ REFUSED = {
         "essential must name slots of .*slots.txt, got from; the slots are pickup, dropoff",
     ),
     "too few acts": (CHOICES, {"acts": REQUIRED_ACTS[:-1]}, r"acts must contain .*'deny'"),
-    "no slot": (CHOICES, {"slots": [""]}, r"slots\.txt must have a name a line, got none"),
+    "no slot": (CHOICES, {"slots": [""]}, r"slots\.txt must have one name per line"),
     "records of another form": (CHOICES, {"kb": []}, r"kb\.p must hold a dict, got list"),
 }
 

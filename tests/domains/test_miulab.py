@@ -1,4 +1,4 @@
-"""The importer of the public corpus on a corpus of two records: its form, and all else refused."""
+"""The reader of the public corpus, on a corpus of two records: its format, and refusals."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ def test_a_missing_file_is_named(load, tmp_path, name):
 
 
 class Trap:
-    """Runs code where it is unpickled plainly."""
+    """Runs code when an ordinary unpickler loads it."""
 
     def __init__(self, victim: Path) -> None:
         self.victim = victim
@@ -105,7 +105,7 @@ def test_a_trap_with_the_line_ends_of_windows_calls_nothing(load, tmp_path, name
 
 
 def test_the_public_corpus_with_the_line_ends_of_windows_is_the_same(miulab, tcbot, tmp_path):
-    """As DDQ and D3Q publish it."""
+    """DDQ and D3Q publish it like this."""
     for file in tcbot.glob("*.p"):
         (tmp_path / file.name).write_bytes(file.read_bytes().replace(b"\n", b"\r\n"))
     assert load_miulab(tmp_path) == miulab
@@ -130,7 +130,7 @@ DAMAGED = {
     "no UTF-8": (b"S'\\xff'\n.", ""),
     "a huge text": (
         b"\x80\x04\x8e" + b"\xff" * 7 + b"\x0f",
-        "it asks for more memory than there is",
+        "it asks for more memory than the machine has",
     ),
     "a huge frame": (b"\x80\x04\x95\xff\xff\xff\xff\xff\xff\xff\x7f.", ""),
 }
@@ -182,7 +182,7 @@ UNUSABLE = {
     ),
     "a value": (
         {"values": {"city": ["seattle", "no match"]}},
-        "values.p: city must not have the reserved value 'no match'",
+        "values.p: city must not be the reserved value 'no match'",
         "values.p: 1 of 1 slots",
     ),
     "a list of blanks": (

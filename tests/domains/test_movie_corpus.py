@@ -1,6 +1,6 @@
-"""Our movie corpus is what the script writes and as hard as the public one, which is as described.
+"""The movie corpus: the output of its script, and as hard as the public one, as the page says.
 
-The numbers are counted by hand here, without any of the library's machinery.
+The tests count by themselves, without the library.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from bbq_torchrl.domains.folder import GOALS_FILE, MOVIE_FOLDER, RECORDS_FILE, V
 SCRIPT = Path(__file__).parents[2] / "scripts" / "make_movie_corpus.py"
 V1 = "user_goals_first_turn_template.part.movie.v1.p"
 
-# The public corpus, as the environment's description states it; ours is as sparse.
+# The public corpus according to the environment's page; ours is as sparse.
 RECORDS = {
     "moviename": 0.97,
     "theater": 0.93,
@@ -125,7 +125,7 @@ def test_value_lists_are_longer_than_what_the_records_have(movie):
 
 
 def test_the_public_corpus_has_what_its_description_says(miulab, movie, tcbot):
-    # 118 movies and 244 theaters are described, with the blank text.
+    # The 118 movies and 244 theaters of the page include the blank text.
     lengths = [len(miulab.error_values[slot]) for slot in ("moviename", "starttime", "theater")]
     assert lengths == [117, 343, 243]
     goals = load_miulab(tcbot, goals=V1).goals

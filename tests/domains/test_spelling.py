@@ -1,4 +1,4 @@
-"""Values that look alike and do not match are named; a byte-order mark is no part of a file."""
+"""Values that look alike but do not match are reported; a byte-order mark is ignored."""
 
 from __future__ import annotations
 
@@ -69,7 +69,7 @@ def test_a_folder_with_a_value_that_never_matches_its_like_is_refused(folder, na
         load_domain(folder)
     assert str(caught.value) == (
         f"{folder}: {name}, line {line}: it has hour = {odd!r}, which never matches '7:30 pm': "
-        "they differ only in blanks, quotes, dashes or how letters are encoded, write both alike"
+        "they differ only in blanks, quotes, dashes or how letters are encoded, so write both alike"
     )
 
 

@@ -1,4 +1,4 @@
-"""Which ids values get. That ids say the same as the texts, the oracle's agreement shows."""
+"""The ids of values. The oracle's agreement shows that ids mean the same as texts."""
 
 from __future__ import annotations
 

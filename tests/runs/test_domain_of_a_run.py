@@ -47,7 +47,7 @@ def test_a_result_says_what_of_a_corpus_was_left_out(played, tcbot, tmp_path_fac
     with caplog.at_level(logging.WARNING):
         result, _ = played("domain=miulab", f"domain.path={corpus}", "domain.goals=goals.p")
     assert result.skipped == (
-        "goals.p: 2 of 3 goals are left out or in part",
+        "goals.p: 2 of 3 goals are left out wholly or in part",
         "goals.p, goals 0, 2: it must not constrain and request the same slots ['city']",
     )
     assert all(any(text in told for told in caplog.messages) for text in result.skipped)
