@@ -20,8 +20,8 @@ from bbq_torchrl.simulator import MeasuredErrors
 from bbq_torchrl.simulator.measured_errors import (
     CONTEXTS,
     MOST_REQUESTS,
+    context_of,
     questions_of,
-    situation_of,
 )
 from bbq_torchrl.text import shown
 
@@ -187,7 +187,7 @@ class _Recorder:
     ) -> Utterance:
         heard = self._channel.transmit(said, agent, before, is_silent, draws, active)
         columns = (
-            *situation_of(agent, said, len(self._acts)),
+            *context_of(agent, said, len(self._acts)),
             *(said.act, said.informs, said.requests),
             *(heard.act, heard.informs, heard.requests),
         )

@@ -1,7 +1,7 @@
 """Choices by index, rows of tables, and sets of records as bits.
 
-Nothing here draws: the numbers come from the one generator of the environment, and whoever has them
-can repeat the choices.
+Nothing here draws. The uniform numbers come from the environment's generator, so equal numbers give
+equal choices.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ def index_below(uniform: torch.Tensor, count: torch.Tensor | int) -> torch.Tenso
 
     Args:
         uniform: float32 in [0, 1).
-        count: how many there are to choose from, at least 0; 0 gives 0.
+        count: the number of choices, at least 0; 0 gives 0.
 
     Examples:
         >>> index_below(torch.tensor([0.0, 0.49, 0.99]), 2)
@@ -25,9 +25,9 @@ def index_below(uniform: torch.Tensor, count: torch.Tensor | int) -> torch.Tenso
 
 
 def pick_slot(pool: torch.Tensor, uniform: torch.Tensor) -> torch.Tensor:
-    """Chooses one slot of each set, all alike. Returns a one-hot bool ``[*B, S]``, none if empty.
+    """Chooses a slot of each set with equal probability. Returns one-hot flags, bool ``[*B, S]``.
 
-    The slot with the largest number wins; ties go to the lowest slot.
+    The slot with the largest number wins; ties go to the lowest slot. An empty set has no flag.
 
     Args:
         pool: bool ``[*B, S]``, the slots to choose from.
@@ -41,7 +41,7 @@ def pick_slot(pool: torch.Tensor, uniform: torch.Tensor) -> torch.Tensor:
 
 
 def one_of(index: torch.Tensor, count: int) -> torch.Tensor:
-    """Marks an index in a row of flags. Returns bool ``[*B, count]``, no flag where it is below 0.
+    """Returns one-hot flags of an index, bool ``[*B, count]``; a negative index has no flag.
 
     Examples:
         >>> one_of(torch.tensor([1, -1]), 3)
@@ -54,7 +54,7 @@ def one_of(index: torch.Tensor, count: int) -> torch.Tensor:
 def rows(table: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
     """Returns ``table[index]``, shape ``[*B, *row]``.
 
-    On the CPU it copies whole rows, some five times faster than advanced indexing.
+    On the CPU this copies whole rows, about five times as fast as advanced indexing.
 
     Args:
         table: ``[n, *row]``.
@@ -70,29 +70,19 @@ def rows(table: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
 
 
 WORD_BITS = 64
-
-
 _BYTE_BITS = 8
+_TOP_BYTE = WORD_BITS - _BYTE_BITS
 
 
 def _signed(word: int) -> int:
-    """Returns the 64 bits of ``word`` as the signed number that int64 holds them in."""
+    """Returns the int64 number with the 64 bits of ``word``."""
     return word - (1 << WORD_BITS) if word >> (WORD_BITS - 1) else word
 
 
 _PAIRS = _signed(0x5555555555555555)
-
-
 _QUADS = _signed(0x3333333333333333)
-
-
 _BYTES = _signed(0x0F0F0F0F0F0F0F0F)
-
-
 _ONES = _signed(0x0101010101010101)
-
-
-_TOP_BYTE = WORD_BITS - _BYTE_BITS
 
 
 def pack(members: torch.Tensor) -> torch.Tensor:
@@ -115,9 +105,9 @@ def pack(members: torch.Tensor) -> torch.Tensor:
 
 
 def _counts_in_bytes(words: torch.Tensor) -> torch.Tensor:
-    """Returns words whose every byte is the number of bits set in that byte of ``words``."""
-    # Bits are added in pairs, in fours, then in bytes; the masks also cut off the copies of the
-    # sign that >> shifts in.
+    """Returns words in which each byte is the number of bits set in that byte of ``words``."""
+    # Bits are added in pairs, in fours, then in bytes. The masks also remove the sign bits that >>
+    # shifts in.
     words = words - ((words >> 1) & _PAIRS)
     words = (words & _QUADS) + ((words >> 2) & _QUADS)
     return (words + (words >> 4)) & _BYTES

@@ -20,18 +20,17 @@ if TYPE_CHECKING:
 SlotErrorMode = Literal["value", "slot", "delete", "mixed"]
 
 ABOVE_IDS = 1 << 32
-"""Above every value id: a slot times this plus a value of it are one number."""
+"""Larger than every value id: ``slot * ABOVE_IDS + value`` encodes a slot and a value."""
 
 
 class Channel(Protocol):
-    """Turns what users say into what the tracker hears.
+    """The channel from users to the tracker.
 
     Attributes:
-        slot_draws: names of the uniform numbers ``[*B, S]`` that a turn is heard by.
-        draws: names of those of a turn that are ``[*B]``.
-        mishears_all: whether the opening and requests can be misheard as well. Then the opening
-            needs the same numbers as a turn, and the tracker keeps requests until they are
-            answered.
+        slot_draws: names of the uniform numbers ``[*B, S]`` that a turn needs.
+        draws: names of the uniform numbers ``[*B]`` that a turn needs.
+        mishears_all: whether the opening and requests can be misheard too. If so, the opening needs
+            the same numbers as a turn, and the tracker keeps requests until they are answered.
     """
 
     slot_draws: tuple[str, ...]
@@ -39,7 +38,7 @@ class Channel(Protocol):
     mishears_all: bool
 
     def to(self, device: torch.device | str) -> Channel:
-        """Returns the same channel with every tensor on ``device``."""
+        """Returns a copy with every tensor on ``device``."""
 
     def transmit(
         self,
@@ -50,44 +49,44 @@ class Channel(Protocol):
         draws: TensorDictBase,
         active: torch.Tensor,
     ) -> Utterance:
-        """Returns what is heard.
+        """Returns the utterance heard.
 
         Args:
-            said: what the users say.
-            agent: what the agent has said before; ``None`` at the opening.
+            said: the users' utterance.
+            agent: the agent's act before it; ``None`` at the opening.
             before: long ``[*B]``, the act heard in the turn before; at the opening the one said.
-            is_silent: bool ``[*B]``, dialogues that have ended: there ``said.act`` is heard.
-            draws: what :attr:`slot_draws` and :attr:`draws` name.
+            is_silent: bool ``[*B]``, dialogues that have ended, in which ``said.act`` is heard.
+            draws: the numbers named by :attr:`slot_draws` and :attr:`draws`.
             active: bool ``[S]``, the slots that can be heard.
         """
 
 
 class ErrorModel(Movable):
-    """The channel of dialogue acts: stands for the errors of speech and language understanding.
+    """The channel of dialogue acts, which simulates errors of speech recognition and nlu.
 
-    Every slot the user informs is hit with ``slot_error_prob``, independently; requested slots are
-    never hit. What a hit does depends on the mode:
+    Each informed slot has an error with probability ``slot_error_prob``, independently; requested
+    slots have none. The mode decides the error's effect:
 
-    - ``"value"``: the value becomes one of the slot's error values (possibly the same again; a slot
-      without such values is spared);
-    - ``"slot"``: slot and value become those of another active slot that has error values (deleted
-      if there is none). The replacement overrides what was informed of that slot; where several
-      replacements meet, that of the highest source slot stays;
-    - ``"delete"``: the slot is dropped;
-    - ``"mixed"``: one of the three, a third each.
+    - ``"value"``: the value becomes one of the slot's error values, possibly the same; slots
+      without error values stay correct;
+    - ``"slot"``: slot and value become those of another active slot with error values; without one
+      the slot is deleted. The replacement overrides the value informed of the other slot; of
+      several replacements of one slot, that of the highest source slot wins;
+    - ``"delete"``: the slot is deleted;
+    - ``"mixed"``: each of the three with probability 1/3.
 
-    With ``intent_error_prob`` the act that is heard is any act, all alike. The opening is heard as
-    it is. The agenda simulator of
-    Li et al. (2016) is the model for all of it (where a slip makes ``"slot"`` a deletion).
+    With probability ``intent_error_prob`` a uniformly random act is heard. The opening has no
+    errors. The model is the agenda simulator of Li et al. (2016), in which a bug turns ``"slot"``
+    into a deletion.
 
     Args:
         domain: the domain's tensors.
-        slot_error_prob: probability in [0, 1] that an informed slot is hit.
-        slot_error_mode: what a hit does.
-        intent_error_prob: probability in [0, 1] that the act is heard as any act.
+        slot_error_prob: probability in [0, 1] of an error in an informed slot.
+        slot_error_mode: the effect of such an error.
+        intent_error_prob: probability in [0, 1] that a random act is heard.
 
     Raises:
-        ValueError: for a probability or a mode that is not allowed.
+        ValueError: for an invalid probability or mode.
     """
 
     slot_draws: tuple[str, ...] = ("error", "error_kind", "error_slot", "error_value")
@@ -123,7 +122,7 @@ class ErrorModel(Movable):
         draws: TensorDictBase,
         active: torch.Tensor,
     ) -> Utterance:
-        """Returns what is heard; see :class:`Channel`."""
+        """Returns the utterance heard; see :class:`Channel`."""
         if agent is None:
             return Utterance(said.act, said.informs, said.requests)
         act = torch.where(is_silent, said.act, self.hear(said.act, draws))
@@ -132,13 +131,13 @@ class ErrorModel(Movable):
     def distort(
         self, informs: torch.Tensor, draws: TensorDictBase, active: torch.Tensor
     ) -> torch.Tensor:
-        """Returns what is transmitted of the informed slots: value ids, long ``[*B, S]``.
+        """Returns the informed values after errors: value ids, long ``[*B, S]``.
 
         Args:
-            informs: long ``[*B, S]``, what the user means to inform.
+            informs: long ``[*B, S]``, the values that the user means to inform.
             draws: uniform ``error``, ``error_kind``, ``error_slot`` and ``error_value``, each
                 float32 ``[*B, S]``.
-            active: bool ``[S]``, the slots that a slot error can put in place.
+            active: bool ``[S]``, the slots that a slot error can substitute.
         """
         if self.slot_error_prob == 0.0:
             return informs
@@ -158,10 +157,10 @@ class ErrorModel(Movable):
         return self._overlay(spared, is_value & self._has_values, is_slot, draws, active)
 
     def hear(self, act: torch.Tensor, draws: TensorDictBase) -> torch.Tensor:
-        """Returns the act that is heard, long ``[*B]``.
+        """Returns the act heard, long ``[*B]``.
 
         Args:
-            act: long ``[*B]``, the act that the user means.
+            act: long ``[*B]``, the act meant.
             draws: uniform ``intent`` and ``intent_act``, each float32 ``[*B]``.
         """
         if self.intent_error_prob == 0.0:
@@ -181,18 +180,18 @@ class ErrorModel(Movable):
         draws: TensorDictBase,
         active: torch.Tensor,
     ) -> torch.Tensor:
-        """Lays what replaces the slots hit over what was spared. Returns ids, long ``[*B, S]``.
+        """Adds the replacements to the values without errors. Returns value ids, long ``[*B, S]``.
 
         Args:
-            spared: long ``[*B, S]``, what is transmitted as it was meant.
+            spared: long ``[*B, S]``, the values without errors.
             is_value: bool ``[*B, S]``, slots whose value is replaced.
-            is_slot: bool ``[*B, S]``, slots that are replaced by another one.
-            draws: as for :meth:`distort`.
+            is_slot: bool ``[*B, S]``, slots that are replaced by another slot.
+            draws: the same as for :meth:`distort`.
             active: bool ``[S]``.
         """
         n_slots = active.shape[-1]
         slots = torch.arange(n_slots, device=active.device)
-        # The candidates in slot order, then the rest; and each slot's rank among the candidates.
+        # The candidates in slot order, then the other slots; and each slot's rank as a candidate.
         is_candidate = active & self._has_values
         candidates = (~is_candidate).to(torch.uint8).argsort(stable=True)
         rank = is_candidate.cumsum(0) - 1
@@ -202,8 +201,7 @@ class ErrorModel(Movable):
         target = torch.where(is_slot, candidates.take(place.clamp(max=n_slots - 1)), slots)
         choice = index_below(draws["error_value"], self._count.take(target))
         value = self._values.take(target * self._width + choice)
-        # With the source slot in the high bits one maximum finds, for every target, the
-        # replacement that comes last.
+        # With the source slot in the high bits, a maximum finds each target's last replacement.
         replaces = is_value | (is_slot & (n_others > 0))
         keyed = torch.where(replaces, (slots + 1) * ABOVE_IDS + value, 0)
         last = torch.zeros_like(spared).scatter_reduce(-1, target, keyed, "amax")

@@ -1,4 +1,4 @@
-"""The features that the agent sees: their layout, and those of a state."""
+"""The agent's features: their layout, and their computation from a state."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ COUNT_SCALE = 100.0  # records
 
 
 class FeatureGroup(NamedTuple):
-    """A run of features of one kind.
+    """Consecutive features of one kind.
 
     Args:
-        name: what the group is called.
-        members: what each of its features is about.
-        meaning: what the features are, in a sentence.
+        name: the group's name.
+        members: the act, slot or number of each feature.
+        meaning: a description of the features.
     """
 
     name: str
@@ -36,18 +36,19 @@ class FeatureGroup(NamedTuple):
 
 
 class FeatureLayout:
-    """Says which feature is where: the one table that code, tests and docs read.
+    """The positions and names of the features.
 
-    ``2 A + 7 S + 3 + T`` features for ``A`` acts, ``S`` slots and a one-hot turn of width ``T``;
-    Li et al. (2016) have the order, Lipton et al. (2018) the list and the total of 268.
+    There are ``2 A + 7 S + 3 + T`` features for ``A`` acts, ``S`` slots and a one-hot turn of width
+    ``T``. The order is that of Li et al. (2016), the list and the total of 268 those of Lipton et
+    al. (2018).
 
     Args:
         domain: the domain's tensors.
 
     Attributes:
-        groups: the runs of features of one kind.
-        size: how many features there are.
-        names: the features by name, ``"group:member"``.
+        groups: the groups of features, in order.
+        size: the number of features.
+        names: the name of each feature, ``"group:member"``.
 
     Examples:
         >>> from bbq_torchrl.domains import movie_domain, tensorize
@@ -70,25 +71,25 @@ class FeatureLayout:
             FeatureGroup(
                 "user_informed", slots, "the slots that the user informed in its last act"
             ),
-            FeatureGroup("user_requested", slots, "the slots that the user is heard to ask for"),
-            FeatureGroup("agent_act", acts, "the agent's last act, none in the first state"),
+            FeatureGroup("user_requested", slots, "the slots that the user is heard to request"),
+            FeatureGroup("agent_act", acts, "the agent's last act; all 0 in the first state"),
             FeatureGroup("agent_informed", slots, "the slots that the agent's last act informed"),
             FeatureGroup("agent_requested", slots, "the slot that the agent's last act requested"),
-            FeatureGroup("filled", slots, "the slots that the tracker holds a value of"),
-            FeatureGroup("turn", ("scaled",), "acts so far, of both sides, divided by 10"),
+            FeatureGroup("filled", slots, "the slots for which the tracker holds a value"),
+            FeatureGroup("turn", ("scaled",), "acts of both sides so far, divided by 10"),
             FeatureGroup(
                 "turn_onehot",
                 tuple(str(count) for count in range(domain.turn_width)),
-                "acts so far as one-hot, clamped at the end",
+                "acts so far as one-hot, clamped to the last feature",
             ),
             FeatureGroup(
-                "kb_match", (*slots, "all"), "whether the count of the same name is above 0"
+                "kb_match", (*slots, "all"), "whether the kb_count of the same name is above 0"
             ),
             FeatureGroup(
                 "kb_count",
                 (*slots, "all"),
-                "records / 100: of a filled slot those with its value; "
-                "of any other, and in 'all', those that match everything held",
+                "number of records / 100: for a filled slot those with its value; "
+                "for any other slot and 'all' those that match all values the tracker holds",
             ),
         )
         self._slices: dict[str, slice] = {}
@@ -102,16 +103,17 @@ class FeatureLayout:
         )
 
     def __getitem__(self, name: str) -> slice:
-        """Returns where the group's features are."""
+        """Returns the slice of a group's features."""
         if name not in self._slices:
-            raise KeyError(f"{name!r} is no group of features; there are {', '.join(self._slices)}")
+            groups = ", ".join(self._slices)
+            raise KeyError(f"{name!r} is not a group of features; the groups are {groups}")
         return self._slices[name]
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._slices)
 
     def active(self, slots: torch.Tensor) -> torch.Tensor:
-        """Returns which features can differ from 0, bool ``[F]``: all but those of inactive slots.
+        """Returns the features that can differ from 0, bool ``[F]``: all but inactive slots'.
 
         Args:
             slots: the active slots, bool ``[S]``.
@@ -127,18 +129,18 @@ class FeatureLayout:
         """Returns the index of one feature.
 
         Raises:
-            KeyError: if there is no such feature.
+            KeyError: if the feature does not exist.
         """
         within, name = self[group], f"{group}:{member}"
         names = self.names[within]
         if name not in names:
             members = ", ".join(known.partition(":")[2] for known in names)
-            raise KeyError(f"{member!r} is no feature of {group!r}, which has {members}")
+            raise KeyError(f"{member!r} is not a feature of {group!r}, which has {members}")
         return within.start + names.index(name)
 
 
 class Features:
-    """Turns states into what the agent sees.
+    """The function from states to features.
 
     Args:
         domain: the domain's tensors.
@@ -158,11 +160,11 @@ class Features:
 
         Args:
             state: the simulator's state.
-            active: bool ``[S]``; the knowledge-base features of the other slots are 0.
+            active: bool ``[S]``; knowledge-base features of inactive slots are 0.
         """
         held = state["held"]
         is_filled = held != NONE
-        # The user's first act counts one, each later turn adds the agent's and the user's.
+        # The user's first act counts as one; each later turn adds an act of each side.
         acts = state["turn"] + 1
         flags = torch.cat(
             [

@@ -1,4 +1,4 @@
-"""The records on the shelf: which of them match, and what value they mostly have."""
+"""The knowledge base: matching records and their most frequent values."""
 
 from __future__ import annotations
 
@@ -17,40 +17,40 @@ if TYPE_CHECKING:
 
 _BYTE_BITS = 8
 _WORD_BYTES = WORD_BITS // _BYTE_BITS
-# Dialogues to fill at a time: the temporaries hold a long for every value of a slot, and above
-# 32 MB the allocator maps fresh pages at every call, which then cost more than the work.
+# Dialogues filled at a time. Temporaries have a long for every value of a slot, and above 32 MB the
+# allocator maps fresh pages in every call, which costs more than the computation.
 _FILL_BLOCK = 4096
-# Flags (a byte each) to order and pack at a time while a knowledge base is made: with all records
-# at once, what a hundred thousand of them need for a moment is a gigabyte.
+# Flags (a byte each) ordered and packed at a time during construction. All at once, a hundred
+# thousand records would take a gigabyte.
 _BUILD_BLOCK = 2**22
 
 
 class KnowledgeBase(Movable):
     """The knowledge base of a domain as bit-packed sets of records.
 
-    For every value of every slot there is the set of the records that a held value allows: all of
-    them for nothing and for "I do not care", none for "no match", those with the value otherwise (a
-    record without the slot is not among them). Records match the held values where they are in all
-    of the sets: a handful of ANDs on 64 records at a time.
+    For each value of each slot it stores the set of records that match it: all records for no value
+    and for "I do not care", an empty set for "no match", otherwise those with the value (records
+    without the slot do not match). The records that match all values the tracker holds are the
+    intersection: a few ANDs on 64 records at a time.
 
-    To count how often each value of a slot occurs among the matching records, the same sets are
-    kept once more for each slot the agent can inform or offer, with the records ordered by that
-    slot's value and every value starting a new byte. The counts are then differences of one
-    running sum over bytes. Only values that a record has are counted: what a turn costs depends on
-    the records, however long the lists of values. Memory: a bit for each value and record, and as
-    much again for each slot the agent can inform or offer; there the records of one value fill
-    whole bytes, so that where no two records share a value it is a byte for each value and record.
+    To count each value of a slot among the matching records, it stores the same sets again for each
+    slot that the agent can inform or offer, with the records ordered by that slot's value and each
+    value starting a new byte. The counts are then differences of a running sum over bytes. Only
+    values that occur in records are counted, so the cost of a turn depends on the records, not on
+    the lists of values. Memory: a bit per value and record, and as much again for each slot that
+    the agent can inform or offer. There the records of a value fill whole bytes, so it is a byte
+    per value and record if no two records share a value.
 
     Args:
-        domain: the domain's tensors, on the CPU: it is built from many small pieces, which an
-            accelerator would be slow at.
+        domain: the domain's tensors, on the CPU: construction consists of many small steps, which
+            would be slow on an accelerator.
     """
 
     def __init__(self, domain: DomainTensors) -> None:
         records = domain.records
-        told = domain.action_slot[domain.action_act != domain.act["request"]].unique().tolist()
-        listed = [slot for slot in told if slot not in (-1, domain.ticket, domain.complete)]
-        # A slot that only ever holds nothing or "I do not care" allows every record.
+        informed = domain.action_slot[domain.action_act != domain.act["request"]].unique().tolist()
+        listed = [slot for slot in informed if slot not in (-1, domain.ticket, domain.complete)]
+        # A slot that can only have no value or "I do not care" matches every record.
         decides = domain.constrains & (domain.n_values > FIRST_VALUE)
         decides[listed] = domain.constrains[listed]
         self.slots = decides.nonzero().squeeze(-1)
@@ -59,22 +59,22 @@ class KnowledgeBase(Movable):
         self.first_set = sizes.cumsum(0) - sizes
         self.sets = pack(allowed)
 
-        # The ordered sets: values that no record has share one empty set.
+        # The ordered sets. All values that no record has share an empty set.
         self.ordered_set, distinct = _distinct_rows(allowed)
         self.order_of_slot = torch.zeros(domain.n_slots, dtype=torch.long)
         columns = [records[:, slot] for slot in listed] or [torch.zeros_like(records[:, 0])]
         orders = [_order_by_value(column) for column in columns]
         for position, slot in enumerate(listed):
             self.order_of_slot[slot] = position
-        n_bytes = max(place.numel() for place, _ in orders) // _BYTE_BITS
+        n_bytes = max(order.numel() for order, _ in orders) // _BYTE_BITS
         n_bytes += -n_bytes % _WORD_BYTES
         n_bounds = max(bounds.numel() for _, bounds in orders)
         self.max_counts = max(1, n_bounds - 1)
         self.ordered_sets = _pack_in_orders(
-            distinct, [place for place, _ in orders], n_bytes * _BYTE_BITS
+            distinct, [order for order, _ in orders], n_bytes * _BYTE_BITS
         )
         self.sets_per_order = distinct.shape[0]
-        # A bound beyond a slot's last value repeats the last one: no record lies between.
+        # Bounds beyond a slot's last value repeat the last one, so they count no records.
         self.bounds = torch.stack([_extend(bounds, self.max_counts + 1) for _, bounds in orders])
         self.counted = torch.stack(
             [_extend(_occurring(column), self.max_counts) for column in columns]
@@ -89,11 +89,11 @@ class KnowledgeBase(Movable):
         )
 
     def _chosen(self, held: torch.Tensor) -> torch.Tensor:
-        """Returns the set that each slot's held value stands for, long ``[*B, K]``."""
+        """Returns the index of the set of each slot's value, long ``[*B, K]``."""
         return held.index_select(-1, self.slots) + self.first_set
 
     def matching(self, held: torch.Tensor) -> torch.Tensor:
-        """Finds the records that match every held value. Returns packed sets, int64 ``[*B, W]``.
+        """Returns the records that match all values held, as packed sets, int64 ``[*B, W]``.
 
         Args:
             held: long ``[*B, S]``, value ids.
@@ -101,13 +101,14 @@ class KnowledgeBase(Movable):
         return _intersect(self.sets, self._chosen(held))
 
     def matching_counts(self, held: torch.Tensor) -> torch.Tensor:
-        """Counts the records that match every held value. Returns long ``[*B]``."""
+        """Counts the records that match all values held. Returns long ``[*B]``."""
         return popcount(self.matching(held))
 
     def value_counts(self, held: torch.Tensor) -> torch.Tensor:
-        """Counts, for each slot, the records that have its held value. Returns long ``[*B, S]``.
+        """Counts, for each slot, the records that have the value held. Returns long ``[*B, S]``.
 
-        Reserved values, nothing held, and slots that never constrain the records count 0.
+        The count is 0 without a value, for reserved values, and for slots that never constrain the
+        records.
         """
         return self.counts.take(held + self.first_count)
 
@@ -118,13 +119,13 @@ class KnowledgeBase(Movable):
 
         Args:
             held: long ``[*B, S]``, value ids.
-            slot: long ``[*B]``, a slot that the agent can inform or offer; any other slot gets
-                meaningless counts and the right total.
+            slot: long ``[*B]``, a slot that the agent can inform or offer; the counts of any other
+                slot are meaningless, but its total is right.
 
         Returns:
-            Long ``[*B, C]``: how many matching records have each value that some record has of
-            the slot, in the order of their ids (:meth:`counted_values`); and long ``[*B]``: how
-            many match, those without the slot included.
+            Long ``[*B, C]``, the number of matching records for each value that occurs in records,
+            in the order of :meth:`counted_values`; and long ``[*B]``, the number of matching
+            records, including those without the slot.
         """
         order = self.order_of_slot.take(slot)
         sets = self.ordered_set.take(self._chosen(held))
@@ -137,22 +138,22 @@ class KnowledgeBase(Movable):
         """Returns the value ids, long ``[*B, C]``, that :meth:`counts_by_value` counts.
 
         Args:
-            slot: long ``[*B]``, as there.
+            slot: long ``[*B]``, the same as there.
         """
         return rows(self.counted, self.order_of_slot.take(slot))
 
     def fill(self, held: torch.Tensor, slot: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-        """Finds the value that a slot mostly has among the records that match every held value.
+        """Finds the most frequent value of a slot among the records that match all values held.
 
         Ties go to the lowest value id.
 
         Args:
-            held: long ``[*B, S]``, value ids; the slot's own held value counts too.
-            slot: long ``[*B]``, as in :meth:`counts_by_value`.
+            held: long ``[*B, S]``, value ids, including that of the slot itself.
+            slot: long ``[*B]``, the same as in :meth:`counts_by_value`.
 
         Returns:
-            The value ids, long ``[*B]``, "no match" where no matching record has the slot; and
-            whether any record matches, bool ``[*B]``.
+            The value ids, long ``[*B]``, "no match" if no matching record has the slot; and whether
+            any record matches, bool ``[*B]``.
         """
         blocks = zip(
             held.reshape(-1, held.shape[-1]).split(_FILL_BLOCK),
@@ -167,21 +168,22 @@ class KnowledgeBase(Movable):
         return torch.cat(values).view(slot.shape), torch.cat(has_match).view(slot.shape)
 
     def most_frequent(self, counts: torch.Tensor, slot: torch.Tensor) -> torch.Tensor:
-        """Returns the value ids, long ``[*B]``, of the largest of :meth:`counts_by_value`.
+        """Returns the ids of the most frequent values, long ``[*B]``.
 
         Args:
-            counts: long ``[*B, C]``, its first result; where all are 0 there is "no match".
-            slot: long ``[*B]``, as there.
+            counts: long ``[*B, C]``, of :meth:`counts_by_value`; if all are 0, the value is
+                "no match".
+            slot: long ``[*B]``, the same as there.
         """
-        # argmax gives the first of equal counts, and values are in the order of their ids.
+        # argmax returns the first of equal counts, and values are in the order of their ids.
         best = counts.argmax(-1, keepdim=True)
         is_found = counts.gather(-1, best).squeeze(-1) > 0
-        place = self.order_of_slot.take(slot) * self.max_counts + best.squeeze(-1)
-        return torch.where(is_found, self.counted.take(place), NO_MATCH)
+        index = self.order_of_slot.take(slot) * self.max_counts + best.squeeze(-1)
+        return torch.where(is_found, self.counted.take(index), NO_MATCH)
 
 
 def _allowed_records(domain: DomainTensors, slots: Sequence[int]) -> torch.Tensor:
-    """Returns the records that each value of each slot allows: bool ``[values, rows]``."""
+    """Returns the records that match each value of each slot, bool ``[values, rows]``."""
     allowed = []
     for slot in slots:
         values = torch.arange(int(domain.n_values[slot]))
@@ -193,74 +195,74 @@ def _allowed_records(domain: DomainTensors, slots: Sequence[int]) -> torch.Tenso
 
 
 def _distinct_rows(allowed: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Returns each row's index among the distinct rows, and these; all and none come first."""
+    """Returns the index of each row's set, and the sets: the full, the empty, then the others."""
     everything, nothing = torch.ones_like(allowed[:1]), torch.zeros_like(allowed[:1])
     is_empty, is_full = ~allowed.any(-1), allowed.all(-1)
-    is_own = ~is_empty & ~is_full
-    index = torch.where(is_own, is_own.cumsum(0) + 1, is_empty.long())
-    return index, torch.cat([everything, nothing, allowed[is_own]])
+    is_partial = ~is_empty & ~is_full
+    index = torch.where(is_partial, is_partial.cumsum(0) + 1, is_empty.long())
+    return index, torch.cat([everything, nothing, allowed[is_partial]])
 
 
 def _occurring(values: torch.Tensor) -> torch.Tensor:
-    """Returns the value ids that some record has, in order: long ``[values]``."""
+    """Returns the value ids that occur in records, sorted, long ``[values]``."""
     return values[values >= FIRST_VALUE].unique()
 
 
 def _order_by_value(values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
-    """Orders the records by one slot's value, every value from a new byte on.
+    """Orders the records by their value of a slot; each value starts a new byte.
 
     Args:
         values: long ``[rows]``, each record's value of the slot.
 
     Returns:
-        For each place the record in it, or -1: long ``[places]``, a multiple of 8 long; and for
-        each value that some record has the last byte before it, then the last byte of the last:
-        long ``[values + 1]``. The first byte is empty, so that there is one before the first
-        value. Records without a value come last.
+        The record at each position, or -1, long ``[positions]``, a multiple of 8; and for each
+        value that occurs the last byte before it, then the last byte of the last value, long
+        ``[values + 1]``. The first byte is empty, so that a byte precedes the first value. Records
+        without a value come last.
     """
-    places = [torch.full((_BYTE_BITS,), -1)]
+    positions = [torch.full((_BYTE_BITS,), -1)]
     bounds = [0]
     for value in (*_occurring(values).tolist(), NONE):
         rows = (values == value).nonzero().squeeze(-1)
-        places.append(torch.nn.functional.pad(rows, (0, -rows.numel() % _BYTE_BITS), value=-1))
-        bounds.append(bounds[-1] + places[-1].numel() // _BYTE_BITS)
-    return torch.cat(places), torch.tensor(bounds[:-1])
+        positions.append(torch.nn.functional.pad(rows, (0, -rows.numel() % _BYTE_BITS), value=-1))
+        bounds.append(bounds[-1] + positions[-1].numel() // _BYTE_BITS)
+    return torch.cat(positions), torch.tensor(bounds[:-1])
 
 
 def _pack_in_orders(
-    members: torch.Tensor, orders: Sequence[torch.Tensor], n_places: int
+    members: torch.Tensor, orders: Sequence[torch.Tensor], n_positions: int
 ) -> torch.Tensor:
-    """Returns the sets once for each order of the records: int64 ``[orders * sets, words]``.
+    """Packs the sets in each order of the records. Returns int64 ``[orders * sets, words]``.
 
     Args:
         members: bool ``[sets, rows]``.
-        orders: for each place the record in it, or -1: long ``[places]``.
-        n_places: how many places a packed set has, a multiple of the bits of a word.
+        orders: long ``[positions]`` each: the record at each position, or -1.
+        n_positions: number of positions of a packed set, a multiple of the bits of a word.
     """
     n_sets = members.shape[0]
-    packed = torch.empty((len(orders) * n_sets, n_places // WORD_BITS), dtype=torch.long)
-    block = max(1, _BUILD_BLOCK // n_places)
-    for number, place in enumerate(orders):
+    packed = torch.empty((len(orders) * n_sets, n_positions // WORD_BITS), dtype=torch.long)
+    block = max(1, _BUILD_BLOCK // n_positions)
+    for number, order in enumerate(orders):
         for first in range(0, n_sets, block):
-            part = pack(_placed(members[first : first + block], place, n_places))
+            part = pack(_ordered(members[first : first + block], order, n_positions))
             packed[number * n_sets + first :][: part.shape[0]] = part
     return packed
 
 
-def _placed(members: torch.Tensor, place: torch.Tensor, n_places: int) -> torch.Tensor:
-    """Returns bool ``[sets, n_places]``: whether the record at each place is a member."""
-    in_place = members.index_select(1, place.clamp(min=0)) & (place >= 0)
-    return torch.nn.functional.pad(in_place, (0, n_places - place.numel()))
+def _ordered(members: torch.Tensor, order: torch.Tensor, n_positions: int) -> torch.Tensor:
+    """Returns bool ``[sets, n_positions]``: whether the record at each position is a member."""
+    is_member = members.index_select(1, order.clamp(min=0)) & (order >= 0)
+    return torch.nn.functional.pad(is_member, (0, n_positions - order.numel()))
 
 
 def _extend(entries: torch.Tensor, length: int) -> torch.Tensor:
-    """Returns ``entries`` with the last one repeated up to ``length``; "no match" for none."""
+    """Pads ``entries`` to ``length`` with the last one; "no match" if empty."""
     last = entries[-1] if entries.numel() else torch.tensor(NO_MATCH)
     return torch.cat([entries, last.expand(length - entries.numel())])
 
 
 def _literal_counts(values: torch.Tensor, n_values: int) -> torch.Tensor:
-    """Returns long ``[n_values]``: how many records have each value id, 0 for reserved ids."""
+    """Counts the records of each value id, long ``[n_values]``; 0 for reserved ids."""
     counts = torch.bincount(values, minlength=n_values)
     counts[:FIRST_VALUE] = 0
     return counts

@@ -1,4 +1,4 @@
-"""Errors as they were counted where users spoke in sentences, at the speed of tensors."""
+"""Error rates measured on sentences, applied to dialogue acts as tensors."""
 
 from __future__ import annotations
 
@@ -22,35 +22,36 @@ if TYPE_CHECKING:
     from bbq_torchrl.simulator.tracker import AgentTurn
 
 CONTEXTS = ("opening", "asked", "beside", "corrected", "told")
-"""Where a slot is spoken of: at the opening; where the agent has asked for it, or for another one;
-where the agent has told it; and elsewhere."""
+"""The contexts in which a user mentions a slot: the opening; after the agent has requested the
+slot; has requested another slot; has informed the slot; any other."""
 
 MOST_REQUESTS = 3
-"""Turns with so many requests or more count as one kind."""
+"""Turns with this many requests or more count as one kind."""
 
-_MEAN_WEIGHT = 2.0  # how many values of the slot's mean rates stand beside those counted of a value
+_MEAN_WEIGHT = 2.0  # pseudo-counts of the slot's mean rates, added to the counts of a value
 
 
 class MeasuredErrors(Movable):
-    """The channel of sentences as a table of counts: what was heard of what was said.
+    """The channel of sentences as a table of counts: utterances said and heard.
 
-    Drawn independently in every turn, given what the user says and the agent's act before:
+    Each turn draws the following independently, given the user's utterance and the agent's act
+    before it:
 
-    - each value is kept, becomes another one, is dropped, or moves to another slot. By slot, value
-      and context (:data:`CONTEXTS`); two values of the slot's mean are added to the counts, of
-      which what was not kept is dropped;
-    - in some turns a value is heard that nobody said, by the slot that the agent has asked for, or
-      its act where it has asked for none;
-    - each slot is heard to be asked for or not. By slot, context, whether the user asks for it, and
-      how many slots the user asks for;
-    - the act is heard, by the act, the agent's act, and whether any request was heard.
+    - each value is kept, changed, dropped, or moved to another slot, by slot, value and context
+      (:data:`CONTEXTS`). Two pseudo-counts with the slot's mean rates are added, in which values
+      are either kept or dropped;
+    - an additional value may be heard, by the slot that the agent has requested, or by its act if
+      it was not a request;
+    - each slot is heard as requested or not, by slot, context, whether the user requests it, and
+      the number of slots that the user requests;
+    - an act is heard, by the user's act, the agent's act, and whether any request was heard.
 
     Args:
         domain: the domain's tensors.
-        counts: what ``bbq language count`` writes.
+        counts: the counts that ``bbq language count`` writes.
 
     Raises:
-        KeyError, TypeError or ValueError: the counts are of another domain, or none.
+        KeyError, TypeError or ValueError: if the counts are damaged or of another domain.
     """
 
     slot_draws: tuple[str, ...] = ("slot_error", "request_error")
@@ -87,8 +88,8 @@ class MeasuredErrors(Movable):
         draws: TensorDictBase,
         active: torch.Tensor,
     ) -> Utterance:
-        """Returns what is heard; see :class:`~bbq_torchrl.simulator.Channel`."""
-        question, asks_or_question, context = situation_of(agent, said, self._n_acts)
+        """Returns the utterance heard; see :class:`~bbq_torchrl.simulator.Channel`."""
+        question, asks_or_question, context = context_of(agent, said, self._n_acts)
         informs = self._hear_values(said.informs, context, asks_or_question, draws) * active
         requests = self._hear_requests(said.requests, context, draws) & active
         row = (question * self._n_acts + said.act) * 2 + (~requests.any(-1)).long()
@@ -109,11 +110,11 @@ class MeasuredErrors(Movable):
         """Returns the values heard, long ``[*B, S]``."""
         row = context * self._n_rows + self._first + informs
         code = _drawn(self._value_below, self._value_codes, row, draws["slot_error"])
-        place, value = code // ABOVE_IDS, code % ABOVE_IDS
-        is_own = place == self._slots
-        heard = torch.where(is_own, value, NONE)
+        slot, value = code // ABOVE_IDS, code % ABOVE_IDS
+        is_same_slot = slot == self._slots
+        heard = torch.where(is_same_slot, value, NONE)
         moved = torch.zeros_like(value)
-        moved = moved.scatter_reduce(-1, place, torch.where(is_own, NONE, value), "amax")
+        moved = moved.scatter_reduce(-1, slot, torch.where(is_same_slot, NONE, value), "amax")
         heard = torch.where(heard == NONE, moved, heard)
         below, codes = self._insertion_below, self._insertion_codes
         code = _drawn(below, codes, asks_or_question, draws["insertion"])
@@ -123,7 +124,7 @@ class MeasuredErrors(Movable):
     def _hear_requests(
         self, requests: torch.Tensor, context: torch.Tensor, draws: TensorDictBase
     ) -> torch.Tensor:
-        """Returns the slots heard to be asked for, bool ``[*B, S]``."""
+        """Returns the slots heard as requested, bool ``[*B, S]``."""
         count = requests.sum(-1, keepdim=True).clamp(max=MOST_REQUESTS)
         row = (count * 2 + requests.long()) * len(CONTEXTS) + context
         row = row * self._n_slots + self._slots
@@ -132,7 +133,7 @@ class MeasuredErrors(Movable):
     # -- reading the counts ----------------------------------------------------------------------
 
     def _code(self, slot: str, value: str) -> int:
-        """Returns a slot and a value of it as one number."""
+        """Encodes a slot and a value of it as one number."""
         number = self._slot[slot]
         return number * ABOVE_IDS + (self._ids[number][fold(value)] if value else NONE)
 
@@ -180,24 +181,24 @@ class MeasuredErrors(Movable):
 
 
 def questions_of(acts: Sequence[str], slots: Sequence[str]) -> tuple[str, ...]:
-    """Returns what users answer, by number: nothing, an act, the offer of a booking, a request."""
+    """Returns the possible agent turns before a user's: none, an act, an offer, or a request."""
     return ("opening", *acts, "offer", *(f"request({slot})" for slot in slots))
 
 
-def situation_of(
+def context_of(
     agent: AgentTurn | None, said: Utterance, n_acts: int
 ) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
-    """Returns in which situation users speak.
+    """Returns the context in which users speak.
 
     Args:
-        agent: what the agent has said before; ``None`` at the opening.
-        said: what the users say.
-        n_acts: how many acts there are.
+        agent: the agent's act before; ``None`` at the opening.
+        said: the users' utterance.
+        n_acts: number of acts.
 
     Returns:
-        The number of the question among :func:`questions_of`, long ``[*B]``, an act or the offer;
-        the same, but for requests that of the slot; and which of :data:`CONTEXTS` each slot is in,
-        long ``[*B, S]``.
+        The index in :func:`questions_of` of the agent's act or offer, long ``[*B]``; the same with
+        requests distinguished by slot; and each slot's index in :data:`CONTEXTS`, long
+        ``[*B, S]``.
     """
     if agent is None:
         nothing = torch.zeros_like(said.act)
@@ -210,7 +211,7 @@ def situation_of(
 
 
 def _rate(found: Mapping[str, Sequence[int]], is_said: bool, slots: Sequence[str]) -> list[float]:
-    """Returns how often each slot is heard to be asked for; the mean where it never came up."""
+    """Returns the rate at which each slot is heard as requested; the mean rate without counts."""
     heard, turns = (sum(pair[part] for pair in found.values()) for part in (0, 1))
     mean = heard / turns if turns else float(is_said)
     return [found[slot][0] / found[slot][1] if slot in found else mean for slot in slots]
@@ -224,13 +225,13 @@ def _table(found: Sequence[Sequence[tuple[int, float]]]) -> tuple[torch.Tensor, 
     codes = pad_sequence([torch.tensor([code for code, _ in row]) for row in found], True)
     below = weights.cumsum(-1) / weights.sum(-1, keepdim=True)
     for number, row in enumerate(found):
-        below[number, len(row) - 1 :] = 1.0  # no rounding leads beyond the last
+        below[number, len(row) - 1 :] = 1.0  # rounding never selects an entry beyond the last
     return below.float(), codes
 
 
 def _drawn(
     below: torch.Tensor, codes: torch.Tensor, row: torch.Tensor, uniform: torch.Tensor
 ) -> torch.Tensor:
-    """Draws a code of each row's distribution. Returns long, of the shape of ``row``."""
+    """Draws a code from each row's distribution. Returns long, shape of ``row``."""
     choice = (uniform[..., None] >= rows(below, row)).sum(-1)
     return codes.flatten().take(row * codes.shape[-1] + choice)

@@ -18,7 +18,7 @@ class Rewards:
         turn: for every other turn.
 
     Raises:
-        ValueError: for one that is not finite.
+        ValueError: if a reward is not finite.
     """
 
     success: float = 40.0
@@ -33,13 +33,13 @@ class Rewards:
     def of(
         self, was_done: torch.Tensor, is_done: torch.Tensor, success: torch.Tensor
     ) -> torch.Tensor:
-        """Returns the reward of a turn, float32 ``[*B]``; 0 where the dialogue was over before.
+        """Returns the reward of a turn, float32 ``[*B]``; 0 if the dialogue was over before.
 
         Args:
             was_done: bool ``[*B]``, before the turn.
-            is_done: bool ``[*B]``, after it.
-            success: bool ``[*B]``, where it ends in success.
+            is_done: bool ``[*B]``, after the turn.
+            success: bool ``[*B]``, whether the turn ends in success.
         """
         at_end = torch.where(success, self.success, self.failure)
         reward = torch.where(was_done, 0.0, torch.where(is_done, at_end, self.turn))
-        return reward.float()  # numbers alone have torch's default dtype
+        return reward.float()  # torch.where on numbers returns torch's default dtype

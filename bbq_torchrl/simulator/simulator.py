@@ -1,4 +1,4 @@
-"""Dialogues as tensors: a state, and the function from state and action to the next state."""
+"""Batched dialogues: a state, and the function from state and action to the next state."""
 
 from __future__ import annotations
 
@@ -30,51 +30,51 @@ _ACTS_PER_TURN = 2
 
 
 class Simulator:
-    """Many dialogues between an agent and agenda-based users, as pure functions on a state.
+    """Dialogues between an agent and agenda-based users, as pure functions on a state.
 
-    The state of any batch ``[*B]`` of dialogues is one TensorDict:
+    The state of a batch ``[*B]`` of dialogues is a TensorDict:
 
     ===================  ======  ========  ========================================================
     key                  dtype   shape     meaning
     ===================  ======  ========  ========================================================
-    ``goal_id``          long    ``*B``    which of the domain's goals the user has
-    ``constraints``      long    ``*B, S``  the goal's value of each slot, 0 where it has none
-    ``requests``         bool    ``*B, S``  the slots the goal requests, the ticket included
-    ``agenda``           bool    ``*B, S``  what the user has not yet spoken of
-    ``pending``          bool    ``*B, S``  what the user waits to be told
+    ``goal_id``          long    ``*B``    index of the user's goal in the domain's goals
+    ``constraints``      long    ``*B, S``  the goal's value of each slot, 0 without a constraint
+    ``requests``         bool    ``*B, S``  the slots the goal requests, including the ticket
+    ``agenda``           bool    ``*B, S``  the slots the user has not mentioned yet
+    ``pending``          bool    ``*B, S``  the requests the user waits to have answered
     ``history``          long    ``*B, S``  the latest value that either side informed
     ``constraints_met``  bool    ``*B``    the user's verdict on the latest offer of a booking
     ``user_act``         long    ``*B``    the act the user meant
     ``meant_informs``    long    ``*B, S``  the values the user meant to inform
     ``heard_act``        long    ``*B``    the act the tracker heard
     ``user_informs``     long    ``*B, S``  the values transmitted
-    ``heard_requests``   bool    ``*B, S``  the slots that the tracker takes to be asked for now
-    ``open_requests``    bool    ``*B, S``  those heard before that are set aside as well
+    ``heard_requests``   bool    ``*B, S``  the requests that the tracker regards as current
+    ``open_requests``    bool    ``*B, S``  the same, with those set aside
     ``held``             long    ``*B, S``  the values the tracker holds
     ``agent_act``        long    ``*B``    the agent's last act, -1 before its first
     ``agent_informs``    long    ``*B, S``  the values the agent's last act informed
     ``agent_requests``   bool    ``*B, S``  the slot the agent's last act requested
-    ``turn``             long    ``*B``    0 at first, plus 2 each turn of the agent
-    ``repeats``          long    ``*B``    how often the user was asked to say something again
+    ``turn``             long    ``*B``    starts at 0, plus 2 for each turn of the agent
+    ``repeats``          long    ``*B``    how often the user was asked to repeat something
     ``done``             bool    ``*B``    the dialogue has ended
     ``success``          bool    ``*B``    it has ended in success
-    ``reward``           float   ``*B``    for the last turn; 0 at first
+    ``reward``           float   ``*B``    of the last turn; 0 at the start
     ===================  ======  ========  ========================================================
 
     Random choices are functions of uniform numbers that :meth:`draw_reset` and :meth:`draw_turn`
     draw up front; a turn is a pure function of state, action and draws.
 
-    A channel may ask users to say something again (:class:`~bbq_torchrl.simulator.Utterance`).
-    The agent takes no part in it, and ``turn`` does not count it, but it takes a turn: it has the
-    reward of one, paid with the agent's act before it (at the opening, with the first one), and the
-    dialogue ends so much sooner.
+    A channel may ask users to repeat something (:class:`~bbq_torchrl.simulator.Utterance`). The
+    agent is not involved, and ``turn`` does not count the repetition. It costs a turn nevertheless:
+    a turn's reward, added to that of the agent's act before it (at the opening, of its first act),
+    and a turn of the limit.
 
     Args:
         domain: the domain's tensors.
-        errors: what lies between user and tracker, as an
-            :class:`~bbq_torchrl.simulator.ErrorModel`; ``None``: a user is always understood.
-        rewards: what the agent gets for a turn.
-        max_turn: acts of both sides after which a dialogue has failed, at least 2.
+        errors: the error channel between user and tracker, such as an
+            :class:`~bbq_torchrl.simulator.ErrorModel`; ``None``: no errors.
+        rewards: the rewards of a turn.
+        max_turn: acts of both sides after which a dialogue fails, at least 2.
 
     Raises:
         ValueError: if ``max_turn`` is not a whole number of at least 2.
@@ -107,7 +107,7 @@ class Simulator:
         self._is_ticket = torch.arange(domain.n_slots, device=self.device) == domain.ticket
 
     def to(self, device: torch.device | str) -> Simulator:
-        """Returns the same simulator with every tensor on ``device``."""
+        """Returns a copy with every tensor on ``device``."""
         moved = copy(self)
         moved._build(self.domain.to(device), self.knowledge_base.to(device), self.errors.to(device))
         return moved
@@ -124,11 +124,11 @@ class Simulator:
 
     @property
     def max_agent_turns(self) -> int:
-        """The most turns of the agent in a dialogue; the last of them fails."""
+        """The largest number of agent turns in a dialogue; the last of them fails."""
         return self.max_turn // _ACTS_PER_TURN + 1
 
     def action_mask(self, active: torch.Tensor) -> torch.Tensor:
-        """Returns which actions are legal: bool ``[N]``, slotless acts and those of active slots.
+        """Returns the legal actions, bool ``[N]``: slotless acts and actions of active slots.
 
         Args:
             active: bool ``[S]``.
@@ -143,11 +143,11 @@ class Simulator:
 
         Returns:
             A TensorDict ``[*B]`` of float32 in [0, 1): ``goal`` ``[*B]``, ``constraint`` and
-            ``request`` ``[*B, S]``; and what the channel needs, if it can mishear the opening.
+            ``request`` ``[*B, S]``; and the channel's numbers if it can mishear the opening.
         """
-        errors, heard_by = self.errors, self.errors.mishears_all
-        per_slot = ("constraint", "request", *(errors.slot_draws if heard_by else ()))
-        per_dialogue = ("goal", *(errors.draws if heard_by else ()))
+        errors, with_channel = self.errors, self.errors.mishears_all
+        per_slot = ("constraint", "request", *(errors.slot_draws if with_channel else ()))
+        per_dialogue = ("goal", *(errors.draws if with_channel else ()))
         return self._draw(per_slot, per_dialogue, batch_shape, generator)
 
     def draw_turn(
@@ -157,7 +157,7 @@ class Simulator:
 
         Returns:
             A TensorDict ``[*B]`` of float32 in [0, 1): ``agenda`` ``[*B, S]``, ``offer`` ``[*B]``
-            and what the channel needs, of an error model ``error``, ``error_kind``,
+            and the channel's numbers. Those of an error model are ``error``, ``error_kind``,
             ``error_slot`` and ``error_value`` ``[*B, S]``, ``intent`` and ``intent_act`` ``[*B]``.
         """
         per_slot, per_dialogue = ("agenda", *self.errors.slot_draws), (*self.errors.draws, "offer")
@@ -170,7 +170,7 @@ class Simulator:
         batch_shape: Sequence[int],
         generator: torch.Generator | None,
     ) -> TensorDict:
-        """Draws uniform numbers in one call and names the parts, ``[*B, S]`` and ``[*B]``."""
+        """Draws uniform numbers in one call and splits them by name, ``[*B, S]`` and ``[*B]``."""
         n_slots = self.domain.n_slots
         width = len(per_slot) * n_slots
         uniform = torch.rand(
@@ -192,7 +192,7 @@ class Simulator:
         """Starts dialogues. Returns the state after the users' first turn.
 
         Args:
-            draws: what :meth:`draw_reset` drew, ``[*B]``.
+            draws: the numbers of :meth:`draw_reset`, ``[*B]``.
             active: bool ``[S]``; goals are restricted to these slots.
         """
         first = self.user.first_turn(draws, active)
@@ -238,10 +238,10 @@ class Simulator:
         A dialogue that has ended stays as it is, with a reward of 0.
 
         Args:
-            state: the state, ``[*B]``; left as it is.
+            state: the state, ``[*B]``; not modified.
             action: long ``[*B]``, indices of the domain's actions.
-            draws: what :meth:`draw_turn` drew, ``[*B]``.
-            active: bool ``[S]``, the slots active now.
+            draws: the numbers of :meth:`draw_turn`, ``[*B]``.
+            active: bool ``[S]``, the active slots.
         """
         was_done = state["done"]
         agent = self.tracker.complete(state["held"], action)
@@ -303,7 +303,7 @@ class Simulator:
         draws: TensorDictBase,
         active: torch.Tensor,
     ) -> tuple[TensorDict, torch.Tensor]:
-        """Plays one turn, as :meth:`turn`. Returns the next state and what the agent sees of it."""
+        """Plays one turn, as :meth:`turn`. Returns the next state and its features."""
         after = self.turn(state, action, draws, active)
         return after, self.observe(after, active)
 
@@ -312,7 +312,7 @@ class Simulator:
 
         Args:
             state: the state, ``[*B]``.
-            active: bool ``[S]``; features of the other slots are 0.
+            active: bool ``[S]``; features of inactive slots are 0.
         """
         return self.features(state, active)
 

@@ -1,4 +1,4 @@
-"""The agent's side: the tracker completes the agent's acts and remembers what was said."""
+"""The tracker: completes the agent's acts and keeps track of values and requests."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class AgentTurn:
-    """The agent's act with everything filled in.
+    """The agent's completed act.
 
     Args:
         act: long ``[*B]``, the dialogue act.
-        slot: long ``[*B]``, the slot it speaks of, 0 where it has none.
-        is_slot: bool ``[*B, S]``, the same as flags, none where it has none.
-        value: long ``[*B]``, the value it informs: of an inform the slot's value, of a booking
-            "ticket available" or "no match", of a multiple choice whether there was any.
-        informs: long ``[*B, S]``, all values it informs; a booking repeats those held.
+        slot: long ``[*B]``, its slot, 0 for slotless acts.
+        is_slot: bool ``[*B, S]``, one-hot flags of its slot; no flag for slotless acts.
+        value: long ``[*B]``, the value it informs: the slot's value, or "ticket available" or
+            "no match" for a booking and a multiple choice.
+        informs: long ``[*B, S]``, all values it informs; a booking repeats the values held.
         requests: bool ``[*B, S]``, the slot it requests.
         is_request: bool ``[*B]``, it requests its slot.
         is_inform: bool ``[*B]``, it informs its slot, which is not the complete slot.
         is_booking: bool ``[*B]``, it informs the complete slot, that is, it offers a booking.
         is_multiple_choice: bool ``[*B]``, it offers the values of its slot.
-        is_confirm_answer: bool ``[*B]``, it asks the user to go on.
+        is_confirm_answer: bool ``[*B]``, it asks the user to continue.
         is_end: bool ``[*B]``, it ends the dialogue.
         offered: long ``[*B, C]``, the values that a multiple choice offers, in the order of their
-            ids, 0 between them; ``None`` in a domain without such actions.
+            ids with zeros in between; ``None`` in domains without multiple choices.
     """
 
     act: torch.Tensor
@@ -54,7 +54,7 @@ class AgentTurn:
     def choose(self, uniform: torch.Tensor) -> torch.Tensor:
         """Chooses one of the values offered. Returns value ids, long ``[*B]``.
 
-        "I do not care" where nothing is offered.
+        Without an offered value it is "I do not care".
 
         Args:
             uniform: float32 ``[*B]`` in [0, 1).
@@ -63,20 +63,20 @@ class AgentTurn:
         is_offered = self.offered != NONE
         count = is_offered.sum(-1)
         is_chosen = is_offered.cumsum(-1) > index_below(uniform, count)[..., None]
-        place = is_chosen.to(torch.uint8).argmax(-1, keepdim=True)
-        chosen = self.offered.gather(-1, place).squeeze(-1)
+        position = is_chosen.to(torch.uint8).argmax(-1, keepdim=True)
+        chosen = self.offered.gather(-1, position).squeeze(-1)
         return torch.where(count > 0, chosen, DONT_CARE)
 
 
 @dataclass(frozen=True)
 class Utterance:
-    """A user's turn, as it is said or as it is heard.
+    """A user's turn, as said or as heard.
 
     Args:
         act: long ``[*B]``, the act.
         informs: long ``[*B, S]``, the values informed.
-        requests: bool ``[*B, S]``, the slots that the user asks for.
-        repeats: long ``[*B]``, of what is heard: how often the user was asked to say it again;
+        requests: bool ``[*B, S]``, the slots requested.
+        repeats: long ``[*B]``, in an utterance heard: how often the user was asked to repeat it;
             ``None``: never.
     """
 
@@ -87,7 +87,7 @@ class Utterance:
 
 
 class Tracker:
-    """Completes the agent's de-lexicalized actions from the knowledge base.
+    """A tracker that completes the agent's de-lexicalized actions from the knowledge base.
 
     Args:
         domain: the domain's tensors.
@@ -119,7 +119,7 @@ class Tracker:
         )
 
     def complete(self, held: torch.Tensor, action: torch.Tensor) -> AgentTurn:
-        """Fills the agent's action in from the records that match all values held.
+        """Completes the agent's action from the records that match all values held.
 
         Args:
             held: long ``[*B, S]``, the values held before the act.
@@ -161,8 +161,8 @@ class Tracker:
     @staticmethod
     def hold(held: torch.Tensor, agent: AgentTurn) -> torch.Tensor:
         """Returns the values held after the agent's act, long ``[*B, S]``."""
-        is_told = agent.is_slot & (agent.is_inform | agent.is_booking)[..., None]
-        return torch.where(is_told, agent.value[..., None], held)
+        is_informed = agent.is_slot & (agent.is_inform | agent.is_booking)[..., None]
+        return torch.where(is_informed, agent.value[..., None], held)
 
     @staticmethod
     def hear(held: torch.Tensor, informs: torch.Tensor) -> torch.Tensor:
@@ -172,10 +172,10 @@ class Tracker:
     def answer(
         self, asked: torch.Tensor, open_requests: torch.Tensor, agent: AgentTurn
     ) -> tuple[torch.Tensor, torch.Tensor]:
-        """Returns both kinds of requests after the agent's act, without those that it answers.
+        """Removes the requests that the agent's act answers. Returns both kinds of requests.
 
         Args:
-            asked: bool ``[*B, S]``, the requests before it.
+            asked: bool ``[*B, S]``, the current requests before the act.
             open_requests: bool ``[*B, S]``, the same with those set aside.
             agent: the act.
         """
@@ -195,11 +195,11 @@ class Tracker:
     ) -> tuple[torch.Tensor, torch.Tensor]:
         """Returns both kinds of requests after the user's act, each bool ``[*B, S]``.
 
-        A simulated user repeats in each turn what it waits to be told, and sets its questions aside
-        while it answers the agent's. People ask once, and may be misheard. So requests are kept
-        until they are answered: set aside while the user answers or denies, and taken up again
-        once the agent has told something and the user adds nothing. Of a simulated user whose
-        requests are heard as they are, both are what it waits to be told.
+        A simulated user repeats its pending requests in each turn, and sets them aside while it
+        answers a request of the agent. People ask once, and may be misheard. So the tracker keeps
+        requests until they are answered: it sets them aside while the user answers or denies, and
+        resumes them once the agent has informed something and the user adds nothing. For a
+        simulated user whose requests are heard correctly, both kinds equal the pending requests.
 
         Args:
             asked: bool ``[*B, S]``, of :meth:`answer`.
@@ -207,14 +207,14 @@ class Tracker:
             agent_act: long ``[*B]``, the agent's act, -1 before its first.
             agent_informs: long ``[*B, S]``, the values that it informs.
             agent_requests: bool ``[*B, S]``, the slot that it requests.
-            heard: what is heard of the user.
+            heard: the user's utterance as heard.
         """
         acts, requests = self._acts, heard.requests
         is_booking = agent_informs[..., self._complete] != NONE
         is_answer = (agent_requests & (heard.informs > DONT_CARE)).any(-1)
         sets_aside = is_answer | (is_booking & (heard.act == acts["deny"]))
-        told = (agent_act == acts["inform"]) | (agent_act == acts["confirm_answer"])
+        has_informed = (agent_act == acts["inform"]) | (agent_act == acts["confirm_answer"])
         is_empty = ~(requests | (heard.informs != NONE)).any(-1)
-        takes_up = (told & ~is_booking & is_empty)[..., None]
-        kept = torch.where(takes_up, open_requests, asked | requests)
+        resumes = (has_informed & ~is_booking & is_empty)[..., None]
+        kept = torch.where(resumes, open_requests, asked | requests)
         return torch.where(sets_aside[..., None], requests, kept), open_requests | requests

@@ -1,4 +1,4 @@
-"""Dialogues as people read them."""
+"""Readable transcripts of dialogues."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ if TYPE_CHECKING:
 
 
 class Transcript:
-    """Writes the acts of a dialogue's state as text.
+    """Formats the acts in a dialogue's state as text.
 
-    The act, then what it requests and informs; an act ``request`` or ``inform`` is written with its
-    slots, and what belongs to the other follows. What was heard follows in brackets where an
-    error made it differ from what the user meant.
+    A line has the act, then its requests and informs; the acts ``request`` and ``inform`` come with
+    their slots, followed by those of the other kind. If an error occurred, the act as heard follows
+    in brackets.
 
     Args:
         domain: the domain's tensors.
@@ -38,15 +38,13 @@ class Transcript:
         self._coding = Coding(domain)
 
     def lines(self, state: TensorDictBase) -> list[str]:
-        """Returns the last turn of one dialogue, a line each for agent and user.
-
-        The agent's line is left out before its first act.
+        """Returns the last turn of one dialogue: the agent's line, if any, and the user's.
 
         Args:
             state: the state of one dialogue, batch size ``[]``.
 
         Raises:
-            ValueError: if the state is one of several dialogues.
+            ValueError: if the state has several dialogues.
         """
         if state.batch_size:
             raise ValueError(
@@ -66,16 +64,16 @@ class Transcript:
         """Returns the user's last act: ``"request(theater) inform(moviename=zootopia)"``."""
         meant = str(self._frame(state, "user_act", "meant_informs", "pending"))
         heard = str(self._frame(state, "heard_act", "user_informs", "heard_requests"))
-        is_over = bool(state["done"])  # the end is heard as it is; the tracker keeps questions
+        is_over = bool(state["done"])  # the end has no errors, but the tracker keeps requests
         return meant if is_over or meant == heard else f"{meant} [heard: {heard}]"
 
     def goal(self, state: TensorDictBase) -> str:
-        """Returns what the user wants: ``"request(ticket) inform(moviename=zootopia)"``."""
+        """Returns the user's goal: ``"request(ticket) inform(moviename=zootopia)"``."""
         request = self._coding.acts.index("request")
-        values, asked = state["constraints"].tolist(), state["requests"].tolist()
-        return str(self._coding.frame(request, values, asked))
+        values, requests = state["constraints"].tolist(), state["requests"].tolist()
+        return str(self._coding.frame(request, values, requests))
 
     def _frame(self, state: TensorDictBase, *keys: str) -> Frame:
-        """Returns an act, of its keys of act, values and questions."""
+        """Returns the frame in the state's entries of act, values and requests."""
         act, informs, requests = (state[key].tolist() for key in keys)
         return self._coding.frame(act, informs, requests)

@@ -1,4 +1,4 @@
-"""The agenda-based user: what it says first, and how it replies to each act of the agent."""
+"""The agenda-based user: its first turn, and its replies to the agent's acts."""
 
 from __future__ import annotations
 
@@ -17,11 +17,10 @@ if TYPE_CHECKING:
 
 
 class User:
-    """The agenda-based user of Li et al. (2016), for any number of dialogues at once.
+    """The agenda-based user of Li et al. (2016), for a batch of dialogues.
 
-    It holds nothing but the domain's tables; who the users are is in the state that it is given. It
-    returns entries of the state of :class:`~bbq_torchrl.simulator.Simulator`, which has their
-    meanings.
+    It stores only the domain's tables; the users themselves are in the state. It returns entries of
+    the state of :class:`~bbq_torchrl.simulator.Simulator`, which documents them.
 
     Args:
         domain: the domain's tensors.
@@ -34,13 +33,13 @@ class User:
         self._is_ticket = slots == domain.ticket
 
     def first_turn(self, draws: TensorDictBase, active: torch.Tensor) -> dict[str, torch.Tensor]:
-        """Returns who the users are and their first turn, entries of the state.
+        """Draws users and their first turn. Returns entries of the state.
 
-        The first turn is a request, with what opens the dialogue informed.
+        The first turn is a request that also informs the opening slots.
 
         Args:
             draws: uniform ``goal`` ``[*B]``, ``constraint`` and ``request`` ``[*B, S]``.
-            active: bool ``[S]``; the goals are restricted to these slots (and the ticket).
+            active: bool ``[S]``; goals are restricted to these slots and the ticket.
         """
         domain = self._domain
         goal = index_below(draws["goal"], domain.goal_constraints.shape[0])
@@ -67,17 +66,17 @@ class User:
         is_over: torch.Tensor,
         draws: TensorDictBase,
     ) -> dict[str, torch.Tensor]:
-        """Returns the users' reply to the agent's act: the entries of the state that it changes.
+        """Returns the users' reply to the agent's act, as the changed entries of the state.
 
         Args:
             state: the state before the agent's act.
-            agent: the agent's act as the tracker has completed it.
-            is_over: bool ``[*B]``, dialogues in which the user does not listen any more.
+            agent: the agent's act, completed by the tracker.
+            is_over: bool ``[*B]``, dialogues in which the user no longer listens.
             draws: uniform ``agenda`` ``[*B, S]`` and ``offer`` ``[*B]``.
         """
         constraints, agenda, pending = state["constraints"], state["agenda"], state["pending"]
         is_constraint = constraints != NONE
-        is_slot, goes_on_listening = agent.is_slot, ~is_over
+        is_slot, listens = agent.is_slot, ~is_over
 
         def of_slot(values: torch.Tensor) -> torch.Tensor:
             return values.gather(-1, agent.slot[..., None]).squeeze(-1)
@@ -85,16 +84,16 @@ class User:
         def at_slot(is_so: torch.Tensor) -> torch.Tensor:
             return is_slot & is_so[..., None]
 
-        # What was transmitted enters history now, errors included.
+        # The transmitted values, errors included, enter the history now.
         transmitted = state["user_informs"]
-        enters = (transmitted != NONE) & goes_on_listening[..., None]
+        enters = (transmitted != NONE) & listens[..., None]
         history = torch.where(enters, transmitted, state["history"])
 
-        # What the agent does, and what its slot is to this user.
-        asks = agent.is_request & goes_on_listening
-        tells = agent.is_inform & goes_on_listening
-        books = agent.is_booking & goes_on_listening
-        confirms = agent.is_confirm_answer & goes_on_listening
+        # The agent's act, and the role of its slot in this user's goal.
+        asks = agent.is_request & listens
+        tells = agent.is_inform & listens
+        books = agent.is_booking & listens
+        confirms = agent.is_confirm_answer & listens
         wanted, heard_before = of_slot(constraints), of_slot(history)
         is_wanted = wanted != NONE
         is_open = of_slot(state["requests"]) & ~is_wanted
@@ -111,7 +110,7 @@ class User:
         said = torch.where(is_wanted, wanted, torch.where(passes_on, heard_before, DONT_CARE))
         leaves = repeats_wish | tells
         if agent.offered is not None:
-            chooses = agent.is_multiple_choice & goes_on_listening
+            chooses = agent.is_multiple_choice & listens
             said = torch.where(chooses & ~is_wanted, agent.choose(draws["offer"]), said)
             says_slot, leaves = says_slot | chooses, leaves | (chooses & is_wanted)
         is_idle = ~(pending | agenda).any(-1)
@@ -128,9 +127,9 @@ class User:
         pending = pending | at_slot(asks_back)
         agenda = agenda & ~(at_slot(leaves) | is_refused)
 
-        # Going on: with what is pending, else with a slot of the agenda, else with the ticket.
-        goes_on = tells & ~corrects
-        moves_on = goes_on & ~pending.any(-1)
+        # The user continues with a pending request, else with the agenda, else with the ticket.
+        continues = tells & ~corrects
+        moves_on = continues & ~pending.any(-1)
         from_any = agenda & confirms[..., None]
         pool = from_any | (agenda & ~self._is_ticket & moves_on[..., None])
         picked = pick_slot(pool, draws["agenda"])
@@ -148,10 +147,10 @@ class User:
         ids = self._act
         act = torch.where(says_slot, ids["inform"], state["user_act"])
         act = torch.where(has_no_view & is_idle, ids["thanks"], act)
-        is_asking = asks_back | (goes_on & pending.any(-1)) | (confirms & has_pool & ~picks_wish)
-        is_thanking = (books & is_met) | ((goes_on | confirms) & ~has_pool)
+        is_asking = asks_back | (continues & pending.any(-1)) | (confirms & has_pool & ~picks_wish)
+        is_thanking = (books & is_met) | ((continues | confirms) & ~has_pool)
         act = torch.where(is_thanking, ids["thanks"], act)
-        act = torch.where((goes_on | confirms) & picks_wish, ids["inform"], act)
+        act = torch.where((continues | confirms) & picks_wish, ids["inform"], act)
         act = torch.where(is_asking, ids["request"], act)
         act = torch.where(books & ~is_met, ids["deny"], act)
         act = torch.where(agent.is_end | is_over, ids["closing"], act)
