@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from .draws import Draws, choose_index
 from .features import features
+from .knowledge_base import Shelf
 from .noise import Noise
-from .shelf import Shelf
 from .tracker import Tracker
 from .user import User
 from .values import plain

@@ -8,7 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle.dialogue import value_order_of
-from oracle.shelf import Shelf
+from oracle.knowledge_base import Shelf
 from oracle.small import SLOTS, small_domain
 from oracle.values import DONT_CARE, NO_MATCH
 
