@@ -89,12 +89,12 @@ def turn(env: DialogueEnv) -> Work:
     simulator = env.simulator
     state = simulator.reset(simulator.draw_reset((1,)), env.active_slots)
     numbers = sum(entry.numel() for entry in simulator.draw_turn((1,)).values())
-    shelf = simulator.knowledge_base
-    words = shelf.sets.shape[-1] + shelf.ordered_sets.shape[-1]
+    knowledge_base = simulator.knowledge_base
+    words = knowledge_base.sets.shape[-1] + knowledge_base.ordered_sets.shape[-1]
     return Work(
         bytes=2.0 * FLOAT * numbers  # the random numbers
         + 2.0 * sum(entry.nbytes for entry in state.values())
-        + 8.0 * words * shelf.slots.numel()  # to match records and fill a slot
+        + 8.0 * words * knowledge_base.slots.numel()  # to match records and fill a slot
         + FLOAT * simulator.layout.size,
         uniforms=numbers,
     )

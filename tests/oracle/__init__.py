@@ -1,5 +1,5 @@
-"""A plain oracle of the dialogue: one dialogue, dicts and strings, written from the rules alone.
+"""A plain oracle of the simulator: one dialogue, dicts and strings, written from the rules alone.
 
-Nothing here is fast or batched, and nothing here uses torch: the oracle is what the tensor
-simulator is checked against, so it must be readable beside docs/environment rule by rule.
+It uses no torch and no batches. The tensor simulator is checked against it, so it must be readable
+next to docs/environment, rule by rule.
 """

@@ -1,4 +1,4 @@
-"""Agents that stray: scripted ones which now and then do something else."""
+"""Agents that follow a scripted policy but sometimes take another action."""
 
 from __future__ import annotations
 
@@ -13,20 +13,20 @@ if TYPE_CHECKING:
 Policy = Callable[["Dialogue"], str]
 
 STRAYS = (1.0, 0.3, 0.1, 0.0)
-"""How often the agents stray from their script; the first kind is random altogether."""
+"""The probabilities of another action; with the first the agent is completely random."""
 
 ODD = 0.3
-"""How often an agent that strays says one of the acts that are few among many."""
+"""The probability that another action is one of the rare acts."""
 
 ASKS_AGAIN = 0.5
-"""How often an agent that has as good as won asks again, where an error can still hurt."""
+"""The probability that an agent about to succeed asks again, so that an error can still occur."""
 
 CLOSES = 0.2
-"""How often an agent closes instead of giving thanks."""
+"""The probability that an agent closes instead of giving thanks."""
 
 
 class StrayingAgent:
-    """Follows one of the domain's scripts or careful policies, and strays to other actions."""
+    """Follows one of the domain's script or careful policies, with some other actions."""
 
     def __init__(self, world: World, number: int, random: Random) -> None:
         self.random = random
@@ -60,12 +60,12 @@ class StrayingAgent:
 
 
 def follow(script: Sequence[str]) -> Policy:
-    """Returns an agent that says its script whatever the user says."""
+    """Returns an agent that plays its script whatever the user says."""
     return lambda dialogue: script[min(dialogue.turn_count // 2, len(script) - 1)]
 
 
 def careful(asked: Sequence[str]) -> Policy:
-    """Returns an agent that asks for what is unfilled, answers requests, offers, and thanks."""
+    """Returns an agent that requests unfilled slots, answers requests, offers, and thanks."""
 
     def act(dialogue: Dialogue) -> str:
         tracker = dialogue.tracker

@@ -26,7 +26,7 @@ LANES = 2
 
 
 class Comparison:
-    """One batch of dialogues, played on both sides with the same random numbers."""
+    """A batch of dialogues, played by simulator and oracle with the same random numbers."""
 
     def __init__(
         self,
@@ -52,7 +52,7 @@ class Comparison:
     def play(self) -> Counter[str]:
         """Plays all dialogues to their ends; raises an AssertionError at the first difference.
 
-        Returns how often each rule was at work, and the numbers of dialogues and successes.
+        Returns the number of times each rule applied, and the numbers of dialogues and successes.
         """
         mask = self.simulator.action_mask(self.active)
         assert mask.nonzero().flatten().tolist() == self.world.legal_actions()
@@ -63,7 +63,7 @@ class Comparison:
         agents = [StrayingAgent(self.world, number, self.random) for number in going]
         self.compare(dialogues, going, state)
         while going:
-            actions = [0] * len(dialogues)  # those that have ended get one that changes nothing
+            actions = [0] * len(dialogues)  # actions of ended dialogues have no effect
             for number in going:
                 self.said[number].append(agents[number].act(dialogues[number]))
                 actions[number] = self.world.domain.action_index(self.said[number][-1])
@@ -80,7 +80,7 @@ class Comparison:
         return self.world.fired + Counter(dialogues=len(dialogues), successes=successes)
 
     def compare(self, dialogues: list[Dialogue], going: list[int], state: TensorDict) -> None:
-        """Asserts that state and features of these dialogues are those of the simulator."""
+        """Asserts that state and features of these dialogues equal the simulator's."""
         got = {key: value.flatten(0, 1)[going].cpu() for key, value in state.items()}
         features = self.simulator.observe(state, self.active)
         got["features"] = features.flatten(0, 1)[going].cpu()
@@ -99,7 +99,7 @@ class Comparison:
                 )
 
     def state_of(self, dialogue: Dialogue) -> dict[str, Any]:
-        """Returns features and state of an oracle's dialogue, as the simulator's ids."""
+        """Returns state and features of an oracle's dialogue in the simulator's ids."""
         user, tracker = dialogue.user, dialogue.tracker
         act, values, marks = self.world.acts.index, self.coding.ids, self.coding.flags
         return {
@@ -121,7 +121,7 @@ class Comparison:
             "agent_informs": values(tracker.agent_informs),
             "agent_requests": marks(tracker.agent_requests),
             "turn": dialogue.turn_count,
-            "repeats": 0,  # nobody is asked again about an act
+            "repeats": 0,  # a channel of acts never asks users to repeat
             "done": dialogue.done,
             "success": dialogue.success,
             "reward": dialogue.reward,
@@ -136,7 +136,7 @@ def rows_of(draws: TensorDict, numbers: list[int]) -> list[dict[str, Any]]:
 
 
 def assert_ended_dialogues_stay(before: TensorDict, after: TensorDict) -> None:
-    """Asserts that a dialogue that had ended is as it was, and earns nothing more."""
+    """Asserts that an ended dialogue stays unchanged, without further reward."""
     ended = before["done"]
     for key, value in after.items():
         stays = torch.zeros_like(before[key]) if key == "reward" else before[key]

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from .draws import Draws, choose_index
 from .features import features
-from .knowledge_base import Shelf
+from .knowledge_base import Records
 from .noise import Noise
 from .tracker import Tracker
 from .user import User
@@ -24,7 +24,7 @@ TURN_REWARD = -1.0
 
 
 def value_order_of(domain: Domain) -> dict[str, list[str]]:
-    """Returns every slot's values in the order in which the domain's data name them."""
+    """Returns every slot's values in the order of the domain's data."""
     order: dict[str, dict[str, None]] = {slot: {} for slot in domain.slots}
     for slot, values in domain.error_values.items():
         order[slot].update(dict.fromkeys(plain(value) for value in values))
@@ -36,7 +36,7 @@ def value_order_of(domain: Domain) -> dict[str, list[str]]:
 
 @dataclass(frozen=True)
 class Setting:
-    """One setting of the environment; all slots are active where neither of two says which."""
+    """A setting of the environment; by default all slots are active."""
 
     slot_error_prob: float = 0.0
     slot_error_mode: str = "value"
@@ -54,7 +54,7 @@ class Setting:
 
 
 class World:
-    """What all dialogues of one setting share."""
+    """The objects that all dialogues of a setting share."""
 
     def __init__(self, domain: Domain, setting: Setting) -> None:
         self.domain = domain
@@ -65,11 +65,11 @@ class World:
         self.action_names = [str(action) for action in domain.actions]
         self.active = set(setting.active_slots(domain))
         self.fired: Counter[str] = Counter()
-        self.shelf = Shelf(domain.records, domain.free_slots, value_order_of(domain))
+        self.records = Records(domain.records, domain.free_slots, value_order_of(domain))
         self.noise = Noise(self)
 
     def legal_actions(self) -> list[int]:
-        """Returns the numbers of the actions that are without a slot or whose slot is active."""
+        """Returns the numbers of the slotless actions and those of active slots."""
         return [
             number
             for number, action in enumerate(self.domain.actions)
@@ -118,9 +118,9 @@ class Dialogue:
         self.tracker.hear(heard_act, self.user.informs, self.user.pending)
 
     def _offered(self, slot: str) -> list[str]:
-        shelf = self.world.shelf
-        values = shelf.values_on(slot, shelf.matching(self.tracker.held))
-        return shelf.in_order(slot, values)
+        records = self.world.records
+        values = records.values_on(slot, records.matching(self.tracker.held))
+        return records.in_order(slot, values)
 
     def _judge(self, act: str) -> None:
         faults = self.user.faults()
@@ -138,5 +138,5 @@ class Dialogue:
         self.tracker.hear(self.user.act, self.user.informs, self.user.pending)
 
     def features(self) -> list[float]:
-        """Returns what the agent sees of this state."""
+        """Returns the features of this state."""
         return features(self.world, self.tracker, self.turn_count)

@@ -1,4 +1,4 @@
-"""How a uniform number in [0, 1) becomes a choice, and a source of such numbers."""
+"""Choices from uniform numbers in [0, 1)."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Draws = Mapping[str, Any]
 
 
 def choose_index(u: float, count: int) -> int:
-    """Returns which of `count` things the uniform `u` stands for."""
+    """Returns the index below `count` that the uniform `u` selects."""
     return math.floor(u * count)
 
 

@@ -36,21 +36,21 @@ def features(world: World, tracker: Tracker, turn: int) -> list[float]:
 
 
 def marks(chosen: Collection[str], slots: Sequence[str]) -> list[float]:
-    """Returns a 1 for each slot that is among the chosen."""
+    """Returns a number for each slot: 1 if it is chosen."""
     if not chosen:
         return [0.0] * len(slots)
     return [1.0 if slot in chosen else 0.0 for slot in slots]
 
 
 def knowledge_base_counts(tracker: Tracker, slots: Sequence[str], active: set[str]) -> list[int]:
-    """Returns a count for each slot, and last how many records match everything held."""
-    matching = len(tracker.shelf.matching(tracker.held))
+    """Returns a count for each slot, then the number of records that match all values held."""
+    matching = len(tracker.records.matching(tracker.held))
     counts = []
     for slot in slots:
         if slot not in active:
             counts.append(0)
         elif slot in tracker.held:
-            counts.append(tracker.shelf.count_with(slot, tracker.held[slot]))
+            counts.append(tracker.records.count_with(slot, tracker.held[slot]))
         else:
             counts.append(matching)
     return [*counts, matching]

@@ -1,4 +1,4 @@
-"""The records, looked up by what is held."""
+"""The knowledge base: records, looked up by values."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
 
-class Shelf:
-    """Records as dicts; `value_order` says which of two equally frequent values comes first."""
+class Records:
+    """Records as dicts; `value_order` breaks ties between equally frequent values."""
 
     def __init__(
         self,
@@ -30,30 +30,30 @@ class Shelf:
         for number, row in enumerate(self.records):
             for slot, value in row.items():
                 self.rows_with.setdefault((slot, value), set()).add(number)
-        self.remembered: dict[frozenset[tuple[str, str]], set[int]] = {}
+        self.cache: dict[frozenset[tuple[str, str]], set[int]] = {}
 
     def matching(self, held: Mapping[str, str]) -> set[int]:
-        """Returns the numbers of the records that agree with everything held."""
+        """Returns the numbers of the records that match all values held."""
         wanted = frozenset(
             (slot, value)
             for slot, value in held.items()
             if slot not in self.free_slots and value != DONT_CARE
         )
-        if wanted not in self.remembered:
+        if wanted not in self.cache:
             rows = set(range(len(self.records)))
             for slot, value in wanted:
                 rows &= self.rows_with.get((slot, value), set()) if value != NO_MATCH else set()
-            self.remembered[wanted] = rows
-        return self.remembered[wanted]
+            self.cache[wanted] = rows
+        return self.cache[wanted]
 
     def count_with(self, slot: str, value: str) -> int:
-        """Returns how many records have this value of this slot, whatever else they have."""
+        """Returns the number of records with this value of this slot."""
         if slot in self.free_slots or value in RESERVED:
             return 0
         return len(self.rows_with.get((slot, value), ()))
 
     def values_on(self, slot: str, rows: Iterable[int]) -> Counter[str]:
-        """Returns how often each value of a slot is on the rows."""
+        """Returns the number of rows with each value of a slot."""
         return Counter(self.records[row][slot] for row in rows if slot in self.records[row])
 
     def in_order(self, slot: str, values: Iterable[str]) -> list[str]:

@@ -1,4 +1,4 @@
-"""Errors of recognition and understanding between the user's mouth and the tracker's ear."""
+"""The error channel between user and tracker."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ if TYPE_CHECKING:
 
 
 class Noise:
-    """Hits informed slots, and the act, with fixed probabilities."""
+    """Errors in informed slots and in the act, with fixed probabilities."""
 
     def __init__(self, world: World) -> None:
         self.world = world
@@ -27,7 +27,7 @@ class Noise:
     def transmit(
         self, act: str, informs: dict[str, str], draws: Draws
     ) -> tuple[str, dict[str, str]]:
-        """Returns the act and the informs as the agent's side hears them."""
+        """Returns the act and the informs as the tracker hears them."""
         heard: dict[str, str] = {}
         replacements: list[tuple[str, str]] = []
         for number, slot in enumerate(self.slots):

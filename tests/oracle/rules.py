@@ -1,8 +1,8 @@
-"""Dialogues worked out by hand: ``rules.txt`` has a rule a dialogue.
+"""Dialogues worked out by hand: ``rules.txt`` has a dialogue for each rule.
 
-There stand what the user wants (``goal``: constraints, ``?``, requests), the draws of its first
-turn (``first``) and the ``setting``; then the agent's acts with the draws of the turn, and,
-indented, what must be so after them (:func:`seen`).
+A dialogue starts with the user's ``goal`` (constraints, ``?``, requests), the draws of the first
+turn (``first``) and the ``setting``. The agent's acts follow with the draws of their turns and,
+indented, the expected observations (:func:`seen`).
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ RULES = Path(__file__).with_name("rules.txt").read_text().strip().split("\n\n")
 
 
 def played(rule: str) -> Iterator[tuple[Dialogue, dict[str, str]]]:
-    """Plays a dialogue of the file. Yields it wherever something must be so, with what that is."""
+    """Plays a dialogue of the file. Yields it at each expectation, together with that."""
     lines = [line for line in rule.splitlines() if not line.startswith("#")]
     head = dict(line.split(" ", 1) for line in lines if line[0] != " ")
     wants, _, asks = head["goal"].partition("?")
@@ -44,7 +44,7 @@ def played(rule: str) -> Iterator[tuple[Dialogue, dict[str, str]]]:
 
 
 def rules_at_work() -> set[str]:
-    """Returns the names of all rules that the dialogues of the file bring about."""
+    """Returns the names of all rules that apply in the dialogues of the file."""
     dialogues = [[*played(rule)][-1][0] for rule in RULES]
     return {name for dialogue in dialogues for name in dialogue.world.fired}
 
@@ -63,7 +63,7 @@ def options(text: str) -> dict[str, Any]:
 
 
 def seen(dialogue) -> dict[str, str]:
-    """Returns what there is to see of a dialogue, as text."""
+    """Returns the observable state of a dialogue as text."""
     user, tracker = dialogue.user, dialogue.tracker
     return {
         "user": f"{user.act}({values(user.informs)})",
@@ -76,7 +76,7 @@ def seen(dialogue) -> dict[str, str]:
         "asked": slots(tracker.user_requests),
         "agent": f"{tracker.agent_act}({values(tracker.agent_informs)})",
         "held": values(tracker.held),
-        "rows": str(len(tracker.shelf.matching(tracker.held))),
+        "rows": str(len(tracker.records.matching(tracker.held))),
         "turn": str(dialogue.turn_count),
         "end": "success" if dialogue.success else "failure" if dialogue.done else "not yet",
         "reward": str(dialogue.reward),

@@ -1,4 +1,4 @@
-"""A cinema small enough to work out every look-up by hand: the folder ``cinema``."""
+"""A cinema small enough to look up records by hand: the folder ``cinema``."""
 
 from __future__ import annotations
 
@@ -28,9 +28,9 @@ def small_domain(*goals: Goal, records: Sequence[Mapping[str, str]] = CINEMA.rec
 
 
 def draws(**chosen: Any) -> dict[str, Any]:
-    """Returns draws that hit nothing; `agenda="city"` makes a slot the choice of that draw.
+    """Returns draws without errors; `agenda="city"` makes that draw choose the slot.
 
-    A dict gives single slots their uniforms, a number gives it to all of them.
+    A dict has uniforms of single slots, a number is the uniform of all slots.
     """
     result: dict[str, Any] = {"goal": 0.0, "intent": ALMOST_ONE, "intent_act": 0.0, "offer": 0.0}
     names = ("constraint", "request", "agenda", "error", "error_kind", "error_slot", "error_value")
@@ -56,6 +56,6 @@ def start(goal: Goal, *, first: dict[str, Any] | None = None, **setting: Any) ->
 
 
 def say(dialogue: Dialogue, *actions: str, **chosen: Any) -> None:
-    """Plays agent acts; the draws are those of every one of the turns."""
+    """Plays agent acts, each with the same draws."""
     for name in actions:
         dialogue.turn(CINEMA.actions[CINEMA.action_index(name)], draws(**chosen))

@@ -28,10 +28,10 @@ SETTINGS = (
     Setting(slot_error_prob=0.3, slot_error_mode="mixed", extension=4),
 )
 FEW = SETTINGS[2::3]
-"""Slots and acts that are misheard, a short dialogue, domain extension."""
+"""Settings with errors in slots and acts, a short dialogue, and domain extension."""
 
 ENOUGH = 10
-"""How often each rule must have been at work for an agreement to mean something."""
+"""The least number of times that each rule must apply for a meaningful agreement."""
 
 RARE_RULES = {
     "open: no constraint",
@@ -41,10 +41,10 @@ RARE_RULES = {
     "error: value, but no list",
     "error: slot, but no other",
 }
-"""What only domains of another kind bring about."""
+"""Rules that apply only in other domains."""
 
 RULES = rules_at_work() - RARE_RULES
-"""What the user, the errors and the tracker do in the movie domain."""
+"""Rules of the user, the errors and the tracker that apply in the movie domain."""
 
 BOOKS = {"offer: thanks, available"}
 
@@ -102,7 +102,7 @@ def assert_at_work(rules, played):
 
 
 def many_wishes():
-    """Returns the small cinema with every combination of wishes, none and unmeetable ones too."""
+    """Returns the small cinema with all combinations of wishes, even none and unmeetable ones."""
     wishes = {"moviename": "deadpool", "city": "boston", "date": "today", "numberofpeople": "2"}
     questions = ("theater", "genre")
     goals = [

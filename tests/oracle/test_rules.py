@@ -32,11 +32,11 @@ def test_the_features_of_a_state_by_hand():
     counts = [4, 3, 3, 2, 2, 0, 2, 2, 2]
     assert dialogue.features() == [
         *[1, 0, 0, 0, 0, 0, 0, 0, 0],  # the user's act: request
-        *[0, 0, 0, 0, 0, 0, 0, 0],  # what the user informs
-        *[0, 0, 0, 1, 0, 0, 0, 0],  # what the user requests: the theater again
+        *[0, 0, 0, 0, 0, 0, 0, 0],  # the user's informs
+        *[0, 0, 0, 1, 0, 0, 0, 0],  # the user's requests: the theater again
         *[0, 1, 0, 0, 0, 0, 0, 0, 0],  # the agent's act: inform
-        *[0, 0, 1, 0, 0, 0, 0, 0],  # what the agent informs
-        *[0, 0, 0, 0, 0, 0, 0, 0],  # what the agent requests
+        *[0, 0, 1, 0, 0, 0, 0, 0],  # the agent's informs
+        *[0, 0, 0, 0, 0, 0, 0, 0],  # the agent's request
         *[1, 1, 1, 0, 0, 1, 0, 0],  # filled
         *[0.5, 0, 0, 0, 0, 0, 1, 0, 0, 0, 0],  # five acts so far
         *(float(count > 0) for count in counts),

@@ -1,4 +1,4 @@
-"""The state tracker: what the agent believes, and how its acts get their values."""
+"""The state tracker: the values held, and the completion of the agent's acts."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Tracker:
     """Holds the latest value of each slot, from either side."""
 
     def __init__(self, world: World) -> None:
-        self.shelf, self.fired = world.shelf, world.fired
+        self.records, self.fired = world.records, world.fired
         self.ticket, self.complete = world.ticket, world.complete
         self.held: dict[str, str] = {}
         self.heard_act = ""
@@ -25,21 +25,21 @@ class Tracker:
         self.agent_requests: set[str] = set()
 
     def hear(self, act: str, informs: dict[str, str], requests: set[str]) -> None:
-        """Takes in the user's act as it was transmitted."""
+        """Updates the state with the user's act as transmitted."""
         self.heard_act = act
         self.heard_informs = dict(informs)
         self.user_requests = set(requests)
         self.held.update(informs)
 
     def speak(self, kind: str, act: str, slot: str | None) -> None:
-        """Fills the agent's act with values and takes it in."""
+        """Completes the agent's act with values and updates the state."""
         self.agent_informs = {}
         self.agent_requests = set()
         self.agent_act = act if kind == "act" else kind
         if kind == "request":
             self.agent_requests = {slot}
         elif kind == "inform":
-            rows = self.shelf.matching(self.held)
+            rows = self.records.matching(self.held)
             if slot == self.complete:
                 self.agent_informs = dict(self.held)
                 self.agent_informs[slot] = self._availability(rows)
@@ -49,15 +49,15 @@ class Tracker:
                 self.agent_informs[slot] = self._most_frequent(slot, rows)
             self.held.update(self.agent_informs)
         elif kind == "multiple_choice":
-            rows = self.shelf.matching(self.held)
-            choices = self.shelf.values_on(slot, rows)
+            rows = self.records.matching(self.held)
+            choices = self.records.values_on(slot, rows)
             self.agent_informs[slot] = AVAILABLE if choices else NO_MATCH  # and nothing is held
 
     def _availability(self, rows: set[int]) -> str:
         return AVAILABLE if rows else NO_MATCH
 
     def _most_frequent(self, slot: str, rows: set[int]) -> str:
-        counts = self.shelf.values_on(slot, rows)
+        counts = self.records.values_on(slot, rows)
         if not counts:
             self.fired["fill: no match"] += 1
             return NO_MATCH
@@ -66,4 +66,4 @@ class Tracker:
         if slot in self.held:
             self.fired["fill: slot held already"] += 1
         self.fired["fill: only one most frequent" if len(best) == 1 else "fill: tie"] += 1
-        return self.shelf.in_order(slot, best)[0]
+        return self.records.in_order(slot, best)[0]

@@ -1,4 +1,4 @@
-"""The agenda-based user. Each rule counts itself in `fired`, so that tests can see it at work."""
+"""The agenda-based user. Each rule counts its applications in `fired`, which tests check."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ if TYPE_CHECKING:
 
 
 class User:
-    """Wants what its goal says, and says so bit by bit.
+    """A user with a goal, which it reveals step by step.
 
-    `act`, `informs` and `pending` (what it requests) are its last act. `informs` is what was
-    meant until the errors have had it, and then what was transmitted.
+    `act`, `informs` and `pending` (its requests) are its last act. `informs` has the values meant
+    until errors are applied, then the values transmitted.
     """
 
     def __init__(self, world: World, goal: Goal, draws: Draws) -> None:
@@ -55,7 +55,7 @@ class User:
             self.pending = {self.ticket}
 
     def remember_last_act(self) -> None:
-        """Moves what was transmitted last time to history."""
+        """Moves the values transmitted last time to the history."""
         self.history.update(self.informs)
         self.informs = {}
 
@@ -82,7 +82,7 @@ class User:
         else:
             self.fired[f"repeat: {act}"] += 1
 
-    # The three small things that a user does with a slot.
+    # Elementary operations on a slot.
     def _inform(self, slot: str) -> None:
         self.informs[slot] = self.constraints[slot]
         self.agenda.discard(slot)
@@ -94,7 +94,7 @@ class User:
     def _open_constraints(self) -> list[str]:
         return [slot for slot in self.slots if slot in self.agenda and slot in self.constraints]
 
-    # What the agent may do, and the answers.
+    # The replies to the agent's acts.
     def _answer_request(self, slot: str) -> None:
         if slot in self.constraints:
             self.fired["request: a constraint"] += 1
@@ -206,12 +206,12 @@ class User:
             self.informs[slot] = DONT_CARE
 
     def close(self) -> None:
-        """Ends the dialogue; what was pending stays to be seen."""
+        """Ends the dialogue; pending requests stay visible."""
         self.act = "closing"
         self.informs = {}
 
     def faults(self) -> list[str]:
-        """Returns why this end of the dialogue is no success; nothing if it is one."""
+        """Returns the reasons why the dialogue has not succeeded; empty on success."""
         broken = [
             slot
             for slot, value in self.constraints.items()

@@ -1,4 +1,4 @@
-"""Values are lower-case strings here; three of them are reserved."""
+"""Values as lower-case strings, three of them reserved."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ RESERVED = (DONT_CARE, NO_MATCH, AVAILABLE)
 
 
 def plain(value: str) -> str:
-    """Returns the one spelling under which a value is compared."""
+    """Returns the spelling in which values are compared."""
     return value.casefold()

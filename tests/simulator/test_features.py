@@ -1,4 +1,4 @@
-"""What the agent sees, and where."""
+"""The layout of the features."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_the_layout_of_the_movies_has_the_papers_268_features(layout):
 
 
 def test_an_unknown_feature_is_refused(layout):
-    with pytest.raises(KeyError, match="'user' is not a group of features; the groups are user_act"):
+    with pytest.raises(KeyError, match="'user' is not a group of features; the groups are "):
         layout["user"]
     with pytest.raises(KeyError, match="'cinema' is not a feature of 'filled', which has actor, "):
         layout.column("filled", "cinema")

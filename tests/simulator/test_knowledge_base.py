@@ -1,4 +1,4 @@
-"""The bit-packed knowledge base against the oracle's shelf, and what it costs."""
+"""The bit-packed knowledge base against the oracle's, and its memory."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from oracle.dialogue import value_order_of
-from oracle.knowledge_base import Shelf
+from oracle.knowledge_base import Records
 from oracle.small import SLOTS, small_domain
 from oracle.values import DONT_CARE, NO_MATCH
 
@@ -26,7 +26,7 @@ RECORD = st.fixed_dictionaries(
 
 @st.composite
 def looked_up(draw):
-    """Draws records, and what is held: values of one of them, mostly."""
+    """Draws records, and values held, most of them those of one record."""
     records = draw(st.lists(RECORD, min_size=1, max_size=150))
     held = {s: v for s, v in draw(st.sampled_from(records)).items() if draw(st.booleans())}
     other = st.sampled_from([DONT_CARE, NO_MATCH])
@@ -38,28 +38,28 @@ def looked_up(draw):
 def test_look_ups_are_those_of_the_oracle(drawn, slot):
     records, held = drawn
     domain = small_domain(Goal({}), records=records)
-    shelf = Shelf(records, domain.free_slots, value_order_of(domain))
+    plain = Records(records, domain.free_slots, value_order_of(domain))
     tensors = tensorize(domain)
     knowledge_base, coding = KnowledgeBase(tensors), Coding(tensors)
-    ids, place = torch.tensor(coding.ids(held)), torch.tensor(SLOTS.index(slot))
+    ids, index = torch.tensor(coding.ids(held)), torch.tensor(SLOTS.index(slot))
 
-    matching = shelf.matching(held)
+    matching = plain.matching(held)
     assert int(knowledge_base.matching_counts(ids)) == len(matching)
-    with_value = [shelf.count_with(s, held[s]) if s in held else 0 for s in SLOTS]
+    with_value = [plain.count_with(s, held[s]) if s in held else 0 for s in SLOTS]
     assert knowledge_base.value_counts(ids).tolist() == with_value
 
-    on_rows = shelf.values_on(slot, matching)
-    counts, total = knowledge_base.counts_by_value(ids, place)
-    counted = knowledge_base.counted_values(place).tolist()
+    on_rows = plain.values_on(slot, matching)
+    counts, total = knowledge_base.counts_by_value(ids, index)
+    counted = knowledge_base.counted_values(index).tolist()
     assert int(total) == len(matching)
     assert counted == sorted(counted)
-    texts = [coding.text(int(place), number) for number in counted]
+    texts = [coding.text(int(index), number) for number in counted]
     assert {t: n for t, n in zip(texts, counts.tolist(), strict=True) if n} == on_rows
 
     best = [value for value, count in on_rows.items() if count == max(on_rows.values())]
-    value, has_match = knowledge_base.fill(ids, place)
-    first = shelf.in_order(slot, best)[0] if best else NO_MATCH
-    assert coding.text(int(place), int(value)) == first
+    value, has_match = knowledge_base.fill(ids, index)
+    first = plain.in_order(slot, best)[0] if best else NO_MATCH
+    assert coding.text(int(index), int(value)) == first
     assert bool(has_match) == bool(matching)
 
 
@@ -74,21 +74,21 @@ def test_packed_sets_count_their_members(members):
 
 def test_many_dialogues_at_once_fill_as_one_does(movie):
     domain = tensorize(movie)
-    shelf, count = KnowledgeBase(domain), 5_000  # more than are filled in one block
+    knowledge_base, count = KnowledgeBase(domain), 5_000  # more than one block
     record = torch.randint(len(domain.records), (count,))
     held = domain.records[record] * (torch.rand(count, domain.n_slots) < 0.3)
     slot = torch.tensor([domain.slot["theater"], domain.slot["genre"], domain.slot["date"]])
     slot = slot[torch.randint(3, (count,))]
-    value, has_match = shelf.fill(held, slot)
+    value, has_match = knowledge_base.fill(held, slot)
     assert has_match.all()
     for row in range(0, count, 499):
-        assert shelf.fill(held[row], slot[row]) == (value[row], has_match[row])
+        assert knowledge_base.fill(held[row], slot[row]) == (value[row], has_match[row])
 
 
 def test_memory_grows_with_the_records_and_not_with_their_square(movie):
     def words(times):
-        shelf = KnowledgeBase(replace(domain, records=domain.records.repeat(times, 1)))
-        return shelf.sets.numel() + shelf.ordered_sets.numel()
+        larger = KnowledgeBase(replace(domain, records=domain.records.repeat(times, 1)))
+        return larger.sets.numel() + larger.ordered_sets.numel()
 
     domain = tensorize(movie)
     assert words(4) < 5 * words(1)

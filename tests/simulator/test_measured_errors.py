@@ -1,4 +1,4 @@
-"""Errors that were counted are drawn as often as they were counted."""
+"""Measured errors: their frequencies are those counted."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ SOME = {
 
 
 class Opening:
-    """One opening, heard many times: something in Seattle, and which theater it is in."""
+    """An opening, heard many times: informs Seattle and requests the theater."""
 
     def __init__(self, domain, counts):
         tensors = tensorize(domain)
@@ -47,14 +47,14 @@ class Opening:
         self.heard = errors.transmit(self.said, None, self.said.act, silent, draws, active)
 
     def shares(self):
-        """Returns how often each combination of values is heard."""
+        """Returns the frequency of each combination of values heard."""
         rows, counts = self.heard.informs.unique(dim=0, return_counts=True)
         values = [self.coding.values(row) for row in rows.tolist()]
         texts = [" ".join(f"{slot}={value}" for slot, value in one.items()) for one in values]
         return dict(zip(texts, (counts / DRAWS).tolist(), strict=True))
 
     def asked(self, slot):
-        """Returns how often the slot is heard to be asked for."""
+        """Returns the frequency at which the slot is heard as requested."""
         return self.heard.requests[:, self.coding.slots.index(slot)].double().mean().item()
 
 

@@ -34,7 +34,7 @@ def success_rate(tcbot, goals, policy, **settings):
         ("rule_inform", "v2", 0.0, 0.441, 0.016),
         ("careful", "v1", 0.0, 0.9205, 0.006),
         ("careful", "v2", 0.0, 0.824, 0.010),
-        # No error is published with these four; theirs is taken to be that of the first.
+        # These four are published without errors, so that of the first is used.
         ("rule", "v1", 0.05, 0.317, 0.011),
         ("rule", "v1", 0.10, 0.216, 0.011),
         ("rule", "v1", 0.20, 0.114, 0.011),

@@ -1,4 +1,4 @@
-"""What the oracle leaves open: draws, batches of any shape, compilation, settings."""
+"""The simulator beyond the oracle: draws, batch shapes, compilation, settings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def simulator_of(domain, errors=None):
 
 
 def play(simulator, shape, turns=12):
-    """Plays random actions. Returns the last state, and action and draws of a turn to follow."""
+    """Plays random actions. Returns the last state, and action and draws for the next turn."""
     generator = torch.Generator().manual_seed(3)
     active = torch.ones(simulator.domain.n_slots, dtype=torch.bool)
     state = simulator.reset(simulator.draw_reset(shape, generator), active)
@@ -73,7 +73,7 @@ def test_draws_are_uniform_and_named_as_documented(movie):
 @pytest.mark.parametrize("channel", [None, load_errors], ids=["error model", "measured"])
 def test_a_turn_compiles_without_a_graph_break(movie, channel):
     simulator = simulator_of(movie, channel and channel(movie))
-    # The backend "eager" traces all of it and generates no code.
+    # The backend "eager" traces the whole turn but generates no code.
     torch._dynamo.reset()
     compiled = torch.compile(simulator.play, fullgraph=True, backend="eager", dynamic=False)
     given = play(simulator, (6,), 3)

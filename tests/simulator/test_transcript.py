@@ -1,4 +1,4 @@
-"""Dialogues as people read them."""
+"""Readable transcripts of dialogues."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ ACTIVE = torch.ones(len(SLOTS), dtype=torch.bool)
 
 
 class Scene:
-    """One user of the small cinema whose every act may be misheard, and how it reads."""
+    """A user of the small cinema whose acts may be misheard, and the transcript."""
 
     def __init__(self, **first):
         domain = tensorize(small_domain(GOAL))
