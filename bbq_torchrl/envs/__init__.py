@@ -1,4 +1,4 @@
-"""Environments: dialogues as a TorchRL environment, and who can play in it."""
+"""Environments: dialogues as a TorchRL environment, and scripted policies for it."""
 
 from __future__ import annotations
 

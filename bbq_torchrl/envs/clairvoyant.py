@@ -1,4 +1,4 @@
-"""A privileged policy, which reads the user's hidden goal: what perfect knowledge is worth."""
+"""A privileged policy that reads the user's hidden goal, as a reference for agents."""
 
 from __future__ import annotations
 
@@ -16,28 +16,27 @@ if TYPE_CHECKING:
 
 
 class ClairvoyantPolicy(TensorDictModuleBase):
-    """Books as well as one can who knows the user's goal and all that was misheard.
+    """A policy that knows the user's goal and everything that was misheard.
 
-    Privileged: it reads ``env.dialogues``, the state of the simulator, which no agent is shown. It
-    is there to compare with, not to be learned from. Each turn it takes the first of these that
-    there is reason for:
+    It reads ``env.dialogues``, the simulator's state, which agents do not observe. It serves as a
+    reference, not as a demonstration. Each turn it takes the first action with a reason:
 
-    1. Constraints are unsaid and a question is open: request what the question is about, which has
-       the user say all that is unsaid at once.
-    2. A constraint is unsaid, or was misheard: request it. (``confirm_answer`` has the user go on
-       where an unsaid one cannot be requested.)
-    3. An error has put a value into a slot that is no matter of the goal: request it.
-    4. A question is open: answer it. Of several first the one whose answer leaves most records that
-       have something to answer to all the others.
-    5. Nothing was offered yet: offer the booking.
+    1. Constraints are unsaid and a question is open: request the question's slot, which makes the
+       user inform all unsaid constraints at once.
+    2. A constraint is unsaid or was misheard: request it. If an unsaid one cannot be requested,
+       ``confirm_answer`` makes the user continue.
+    3. An error has filled a slot outside the goal: request it.
+    4. A question is open: answer it. Of several questions, the first is the one whose answer leaves
+       the most records with values for all the others.
+    5. Nothing has been offered yet: offer the booking.
     6. End the dialogue.
 
-    It is not proven to be the best: it does not wait for errors that would happen to help. No goal
-    whose constraints and questions no one record meets is met without an error.
+    It is not proven to be optimal: it does not wait for errors that happen to help. Goals whose
+    constraints and questions no single record meets can only succeed through an error.
 
     Args:
-        env: a :class:`~bbq_torchrl.envs.DialogueEnv`, with or without transforms; the policy plays
-            in no other one, a copy neither.
+        env: the :class:`~bbq_torchrl.envs.DialogueEnv`, with or without transforms, that the policy
+            plays in. It cannot play in another one or in a copy.
 
     Examples:
         >>> from bbq_torchrl.domains import movie_domain
@@ -55,20 +54,20 @@ class ClairvoyantPolicy(TensorDictModuleBase):
         names = domain.action_names
         self._request = _actions_of_slots(names, "request", domain.slots).to(env.device)
         self._inform = _actions_of_slots(names, "inform", domain.slots).to(env.device)
-        # Booked and offered, not answered.
+        # These two are booked and offered, not answered.
         self._inform[[tensors.ticket, tensors.complete]] = -1
         self._offer = domain.action_index(f"inform({domain.complete_slot})")
         self._end = names.index("thanks" if "thanks" in names else "closing")
-        self._go_on = names.index("confirm_answer") if "confirm_answer" in names else self._offer
+        self._continue = names.index("confirm_answer") if "confirm_answer" in names else self._offer
         self._ticket, self._complete = tensors.ticket, tensors.complete
         self._constrains = tensors.constrains
         self._knowledge_base = env.simulator.knowledge_base
         self._records_with = pack((tensors.records != NONE).t())
-        # Kept in a closure: an environment is a module, and would become part of this one.
+        # In a closure, because an environment is a module and would become a submodule.
         self._dialogues = lambda: env.dialogues
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes the action that comes next."""
+        """Writes the next action."""
         state = self._dialogues()
         is_legal = tensordict.get("action_mask")
         may_request, may_inform = _legal(is_legal, self._request), _legal(is_legal, self._inform)
@@ -90,28 +89,28 @@ class ClairvoyantPolicy(TensorDictModuleBase):
         action = torch.where(has_offered, self._end, self._offer)
         action = torch.where(answers.any(-1), self._inform[order.argmax(-1)], action)
         action = torch.where(stray.any(-1), self._first(stray), action)
-        action = torch.where(is_unsaid, self._go_on, action)
+        action = torch.where(is_unsaid, self._continue, action)
         action = torch.where(wrong.any(-1), self._first(wrong), action)
         action = torch.where(all_at_once.any(-1), self._first(all_at_once), action)
         return tensordict.set("action", action)
 
     def _first(self, slots: torch.Tensor) -> torch.Tensor:
-        """Returns the request of the first of the slots, long ``[*B]``; of any where none is."""
+        """Returns the request of the first flagged slot, long ``[*B]``; without a flag any."""
         return self._request[slots.to(torch.uint8).argmax(-1)]
 
     def _records_left(
         self, held: torch.Tensor, is_open: torch.Tensor, answers: torch.Tensor
     ) -> torch.Tensor:
-        """Returns what is left after each possible answer.
+        """Counts the records left after each possible answer.
 
         Args:
             held: long ``[*B, S]``, the values that the tracker holds.
-            is_open: bool ``[*B, S]``, the questions.
-            answers: bool ``[*B, S]``, those of them to look at.
+            is_open: bool ``[*B, S]``, the open questions.
+            answers: bool ``[*B, S]``, the answers to evaluate.
 
         Returns:
-            Long ``[*B, S]``: how many records match what is held after the answer and have a value
-            of every other slot in question; -1 where there is no answer to look at.
+            Long ``[*B, S]``: the number of records that match the values held after the answer and
+            have values for all other open questions; -1 for answers that are not evaluated.
         """
         shape, n_slots = held.shape, held.shape[-1]
         held, is_open, answers = (part.reshape(-1, n_slots) for part in (held, is_open, answers))
@@ -131,11 +130,11 @@ class ClairvoyantPolicy(TensorDictModuleBase):
 
 
 def _actions_of_slots(names: tuple[str, ...], act: str, slots: tuple[str, ...]) -> torch.Tensor:
-    """Returns the action of each slot, long ``[S]``; -1 where there is none."""
+    """Returns the action of each slot, long ``[S]``, or -1."""
     index = {name: number for number, name in enumerate(names)}
     return torch.tensor([index.get(f"{act}({slot})", -1) for slot in slots])
 
 
 def _legal(is_legal: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
-    """Returns which slots have an action that is legal now, bool ``[*B, S]``."""
+    """Returns the slots with a legal action, bool ``[*B, S]``."""
     return is_legal[..., actions.clamp(min=0)] & (actions >= 0)

@@ -1,4 +1,4 @@
-"""The dialogue environment: the simulator as TorchRL knows an environment."""
+"""The dialogue environment: the simulator as a TorchRL environment."""
 
 from __future__ import annotations
 
@@ -33,53 +33,55 @@ if TYPE_CHECKING:
 
 
 class DialogueEnv(EnvBase):
-    """Dialogues of an agent with agenda-based users, any number side by side.
+    """A batch of dialogues between an agent and agenda-based users.
 
     ================  =============  =======================================================
     key               shape          meaning
     ================  =============  =======================================================
-    ``observation``   ``*B, F``      float32 features; ``env.layout`` says which is where
+    ``observation``   ``*B, F``      float32 features; ``env.layout`` has their positions
     ``action_mask``   ``*B, N``      bool, the legal actions
-    ``action``        ``*B``         int64, index of one of ``env.domain.actions``; other integers
-                                     are taken too
+    ``action``        ``*B``         int64, index in ``env.domain.actions``; other integer dtypes
+                                     are accepted
     ``reward``        ``*B, 1``      float32
     ``done``          ``*B, 1``      bool; always ``terminated``, never ``truncated``
     ``success``       ``*B, 1``      bool, the dialogue has ended in success
     ``turns``         ``*B, 1``      int64, turns that the agent has taken
-    ``goal_id``       ``*B, 1``      int64, which of the domain's goals the user has
+    ``goal_id``       ``*B, 1``      int64, index of the user's goal in ``env.domain.goals``
     ================  =============  =======================================================
 
-    The environment keeps the state of its dialogues (``env.dialogues``) and the generator of all
-    its random choices; its ``state_dict`` holds both (that of a ``TransformedEnv`` around it does
-    with :class:`~bbq_torchrl.envs.EnvState` among the transforms). ``reset(resume=True)`` tells
-    where the dialogues are, such as after loading, and leaves them as they are.
-    ``reset(goal_id=5)`` gives the users of all dialogues that it begins this goal of the domain,
-    and leaves all else as it would have been. A dialogue that has ended stays as it is until it is
-    reset, and so does for a turn one whose entry ``_step`` is False, with a reward of 0 (TorchRL's
-    ``ConditionalSkip``). An action that the mask forbids is played all the same. Each turn draws
-    numbers for the whole batch, and so does each reset: what one dialogue does in a turn never
-    shifts the random numbers of another.
+    The environment has the state of its dialogues (``env.dialogues``) and the generator of all its
+    random choices. Its ``state_dict`` contains both; that of a ``TransformedEnv`` around it needs
+    :class:`~bbq_torchrl.envs.EnvState` among the transforms.
+
+    - ``reset(resume=True)`` returns the observation of the current dialogues without changing them,
+      for instance after loading.
+    - ``reset(goal_id=5)`` gives this goal of the domain to the users of all dialogues that it
+      starts, and leaves other random choices unchanged.
+    - A dialogue that has ended does not change until it is reset. A dialogue whose entry ``_step``
+      is False does not change in that turn, with a reward of 0 (TorchRL's ``ConditionalSkip``).
+    - Actions that the mask forbids are played nevertheless.
+    - Each turn and each reset draws random numbers for the whole batch, so that no dialogue
+      affects the random numbers of another.
 
     Args:
-        domain: what the dialogues are about.
-        batch_size: the shape of the batch of dialogues, of numbers above 0.
+        domain: the domain of the dialogues.
+        batch_size: the shape of the batch, of positive numbers.
         slot_error_prob: probability that an informed slot is misunderstood; ``None`` for the
             domain's reference difficulty.
-        slot_error_mode: what becomes of it, see :class:`~bbq_torchrl.simulator.ErrorModel`.
+        slot_error_mode: effect of such an error, see :class:`~bbq_torchrl.simulator.ErrorModel`.
         intent_error_prob: probability that the user's act is misunderstood.
-        max_turn: acts of both sides after which a dialogue has failed.
+        max_turn: acts of both sides after which a dialogue fails.
         success_reward: reward of the turn that ends a dialogue in success.
         failure_reward: reward of the turn that ends a dialogue otherwise.
         turn_reward: reward of every other turn.
-        schedule: domain extension; ``None`` for all slots from the start.
-        seed: seed of the generator; ``None`` takes one from torch's global generator, and in each
-            process another one.
-        device: where the dialogues are.
-        compile_turns: whether turns run as code that ``torch.compile`` makes of them, at the first
-            turn and in up to a minute. (TorchRL's ``compile`` is another thing: the whole of
-            ``step_and_maybe_reset``.)
-        channel: what lies between user and tracker, made for the domain's tensors, in the place of
-            the errors above.
+        schedule: domain extension; ``None``: all slots are active from the start.
+        seed: seed of the generator; ``None`` draws one from torch's global generator, a different
+            one in each process.
+        device: device of the dialogues.
+        compile_turns: whether to compile turns by ``torch.compile``, which takes up to a minute in
+            the first turn. (TorchRL's ``compile`` compiles all of ``step_and_maybe_reset``.)
+        channel: the channel between user and tracker, made for the domain's tensors, instead of the
+            errors above.
 
     Raises:
         ValueError: if a setting is out of range, the schedule never adds a slot that the agent has
@@ -137,7 +139,7 @@ class DialogueEnv(EnvBase):
         is_compiled = self._compiles_turns
         self._play = CompiledPlay(self.simulator) if is_compiled else self.simulator.play
 
-    # -- what there is ---------------------------------------------------------------------------
+    # -- properties ------------------------------------------------------------------------------
 
     @property
     def layout(self) -> FeatureLayout:
@@ -146,7 +148,7 @@ class DialogueEnv(EnvBase):
 
     @property
     def round(self) -> int:
-        """The round of training that the domain extension is in."""
+        """The domain extension's round of training."""
         return self._round
 
     @property
@@ -167,20 +169,20 @@ class DialogueEnv(EnvBase):
             RuntimeError: before the first reset.
         """
         if self._dialogues is None:
-            raise RuntimeError("there are no dialogues yet: call reset() first")
+            raise RuntimeError("no dialogue has started yet: call reset() first")
         return self._dialogues
 
     @property
     def max_agent_turns(self) -> int:
-        """The most turns of the agent in a dialogue."""
+        """The largest number of agent turns in a dialogue."""
         return self.simulator.max_agent_turns
 
     def set_round(self, round: int) -> None:
-        """Enters a round of training: the domain extension activates its slots.
+        """Enters a round of training, which activates the slots of the domain extension.
 
-        Dialogues under way keep the goals they started with. Without a schedule every slot is
-        active in every round. ``rand_action`` follows at once; in a ``TransformedEnv``, which
-        keeps a copy of the action spec, it does with TorchRL's ``ActionMask``.
+        Dialogues that have started keep their goals. Without a schedule every slot is active in
+        every round. ``rand_action`` respects the new slots at once; in a ``TransformedEnv``, which
+        copies the action spec, it needs TorchRL's ``ActionMask`` for that.
 
         Args:
             round: the round, counted from 0.
@@ -209,7 +211,7 @@ class DialogueEnv(EnvBase):
             mask=None if self.schedule is None else self._action_mask,
         )
 
-    # -- what TorchRL calls ----------------------------------------------------------------------
+    # -- TorchRL's interface ---------------------------------------------------------------------
 
     def _make_specs(self) -> None:
         batch, device = self.batch_size, self.device
@@ -231,21 +233,21 @@ class DialogueEnv(EnvBase):
         )
 
     def set_seed(self, seed: SupportsIndex | None = None, static_seed: bool = False) -> int | None:
-        """Seeds the generator. Returns a seed for another environment, as TorchRL's do.
+        """Seeds the generator. Returns a seed for another environment, as in TorchRL.
 
         Args:
-            seed: an integer; ``None`` takes one from torch's global generator.
+            seed: an integer; ``None`` draws one from torch's global generator.
             static_seed: whether to return the same seed instead.
 
         Raises:
-            ValueError: unless it is an integer from 0 to 2**63 - 1.
+            ValueError: if the seed is not an integer from 0 to 2**63 - 1.
         """
         number = None if seed is None else checked_seed(seed)
         following: int | None = super().set_seed(number, static_seed)
         return following
 
     def _set_seed(self, seed: SupportsIndex | None) -> None:
-        # The process that numbers which nobody chose are for, None where somebody did.
+        # The process that a drawn seed is for; None if the caller gave the seed.
         self._unseeded_in = os.getpid() if seed is None else None
         if seed is None:
             seed = unshared_seed(int(torch.randint(1 << 62, ())))
@@ -268,7 +270,7 @@ class DialogueEnv(EnvBase):
             self._generator.manual_seed(seed_of_process(self._draw_seed()))
             self._unseeded_in = os.getpid()
         draws = self.simulator.draw_reset(self.batch_size, self._generator)
-        if goal_id is not None:  # the number that chooses this goal, in the place of the drawn one
+        if goal_id is not None:  # replaces the drawn number by one that selects this goal
             draws["goal"].fill_((goal_id + 0.5) / goals)
         started = self.simulator.reset(draws, self._active)
         which = None if tensordict is None else tensordict.get("_reset", None)
@@ -284,7 +286,7 @@ class DialogueEnv(EnvBase):
     def _resumed(self) -> TensorDict:
         dialogues = self.dialogues
         if bool(dialogues["done"].any()):
-            raise ValueError("resume=True needs dialogues that are all under way, got ended ones")
+            raise ValueError("resume=True needs dialogues in progress, got some that have ended")
         return self._emit(dialogues, self.simulator.observe(dialogues, self._active))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
@@ -298,7 +300,7 @@ class DialogueEnv(EnvBase):
             raise
         which = tensordict.get("_step", None)
         if which is not None:
-            is_played = which.view(self.batch_size) | before["done"]  # what is over stays anyway
+            is_played = which.view(self.batch_size) | before["done"]  # ended ones stay as they are
             if not bool(is_played.all()):
                 reward = torch.where(is_played, after["reward"], 0.0)
                 after = after.where(is_played, before).set("reward", reward)
@@ -309,7 +311,7 @@ class DialogueEnv(EnvBase):
         return emitted
 
     def _emit(self, state: TensorDict, observation: torch.Tensor) -> TensorDict:
-        """Returns what the agent is told of the dialogues, none of it memory of their state."""
+        """Returns the observation of the dialogues, without sharing memory with their state."""
         done = state["done"][..., None]
         return TensorDict(
             {
@@ -332,8 +334,7 @@ class DialogueEnv(EnvBase):
     def to(self, device: torch.device | str) -> DialogueEnv:
         """Moves the environment to a device. Returns itself.
 
-        A generator belongs to its device: the environment goes on with a new one, seeded from the
-        old one.
+        A generator belongs to a device, so the environment gets a new one, seeded from the old one.
         """
         device = present_device(device)
         if device != self.device:
@@ -347,7 +348,7 @@ class DialogueEnv(EnvBase):
         return self
 
     def get_extra_state(self) -> dict[str, Any]:
-        """Returns what ``state_dict`` saves: the dialogues, the generator and the round."""
+        """Returns the dialogues, the generator and the round, for ``state_dict``."""
         dialogues = self._dialogues
         return {
             "domain": self.domain.name,
@@ -357,11 +358,10 @@ class DialogueEnv(EnvBase):
         }
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Goes on from what :meth:`get_extra_state` returned.
+        """Loads the result of :meth:`get_extra_state`.
 
         Raises:
-            ValueError: if the dialogues saved are of another domain or batch than this
-                environment's.
+            ValueError: if the saved dialogues have another domain or batch size.
         """
         saved = state["dialogues"]
         if saved is not None:
@@ -373,8 +373,8 @@ class DialogueEnv(EnvBase):
                     f"with {slots} slots, the environment has {list(self.batch_size)} and is of "
                     f"{self.domain.name} with {len(self.domain.slots)}"
                 )
-            # Saved before the tracker kept requests: then they were what the user waited for.
-            # Saved before users were asked again: then they never were.
+            # States saved before the tracker kept requests: they equal the pending ones. States
+            # saved before users could be asked to repeat: nobody was.
             added = dict.fromkeys(("heard_requests", "open_requests"), saved["pending"])
             added["repeats"] = torch.zeros_like(saved["turn"])
             saved = TensorDict(added | saved, batch_size=batch).to(self.device).clone()
@@ -384,14 +384,14 @@ class DialogueEnv(EnvBase):
         self.set_round(state["round"])
 
     def load_state_dict(self, state_dict: Mapping[str, Any], *args: Any, **kwargs: Any) -> Any:
-        """Loads what ``state_dict`` returned.
+        """Loads the result of ``state_dict``.
 
         Raises:
-            ValueError: if it holds no dialogues, such as the one that a ``Collector`` saves.
+            ValueError: if it is empty, such as the one that a ``Collector`` saves.
         """
         if not state_dict:
             raise ValueError(
                 "the state to load must be that of the environment, got an empty one: a Collector "
-                "saves that of TransformedEnv(env, EnvState()) alone"
+                "saves it only for TransformedEnv(env, EnvState())"
             )
         return super().load_state_dict(state_dict, *args, **kwargs)

@@ -1,9 +1,9 @@
-"""One dialogue at a time as a Gymnasium environment, for agents of other libraries.
+"""A single dialogue as a Gymnasium environment, for agents of other libraries.
 
-Importing this module registers ``bbq_torchrl/MovieDialogue-v0``. Gymnasium 1 asks no installed
-package for its environments; with the id
-``bbq_torchrl.envs.gymnasium:bbq_torchrl/MovieDialogue-v0`` it imports the module by itself. The
-module needs the package gymnasium (the extra ``gymnasium``).
+Importing this module registers ``bbq_torchrl/MovieDialogue-v0``. Gymnasium 1 does not search
+installed packages for environments, but imports the module by itself for the id
+``bbq_torchrl.envs.gymnasium:bbq_torchrl/MovieDialogue-v0``. The module needs the package gymnasium
+(the extra ``gymnasium``).
 """
 
 from __future__ import annotations
@@ -39,34 +39,33 @@ ENV_ID = "bbq_torchrl/MovieDialogue-v0"
 class GymnasiumDialogue(gymnasium.Env[Any, Any]):
     """A dialogue of an agent with a simulated user.
 
-    It plays what a :class:`~bbq_torchrl.envs.DialogueEnv` of one dialogue plays: after
-    ``reset(seed=s)`` the same dialogues as after its ``set_seed(s)``. The observation is what the
-    agent has heard and said, [features], float32; the user's goal is in ``info`` only. An action is
-    the index of one of ``env.unwrapped.domain.actions``; ``action_masks()`` says which are legal;
-    another one is played all the same.
+    It plays the same dialogues as a :class:`~bbq_torchrl.envs.DialogueEnv` of one dialogue, with
+    ``reset(seed=s)`` in place of ``set_seed(s)``. The observation is float32 [features]; the user's
+    goal is only in ``info``. An action is an index in ``env.unwrapped.domain.actions``.
+    ``action_masks()`` returns the legal ones; illegal ones are played nevertheless.
 
     ===============  =====  =====================================================================
     key of ``info``  type   meaning
     ===============  =====  =====================================================================
     ``success``      bool   the dialogue has ended in success
-    ``is_success``   bool   the same, at the end of a dialogue only: where Stable-Baselines3 looks
+    ``is_success``   bool   the same, only at the end of a dialogue, for Stable-Baselines3
     ``turns``        int    turns that the agent has taken
-    ``goal``         str    what the user wants, such as ``request(ticket) inform(moviename=...)``
-    ``goal_id``      int    which of the domain's goals that is
-    ``action_mask``  array  int8 [actions], the legal actions, as ``action_space.sample`` takes it
+    ``goal``         str    the user's goal, such as ``request(ticket) inform(moviename=...)``
+    ``goal_id``      int    index of the goal in the domain's goals
+    ``action_mask``  array  int8 [actions], the legal actions, for ``action_space.sample``
     ===============  =====  =====================================================================
 
     Args:
-        domain: what the dialogues are about: a domain, or its folder; None: movie tickets.
+        domain: a domain or its folder; None: movie tickets.
         render_mode: ``"ansi"``: ``render()`` returns the last turn as text.
         mask_in_observation: whether the observation is a dictionary of ``observation``, as above,
-            and ``action_mask``, bool [actions], where TorchRL's ``GymEnv`` finds it.
-        **settings: those of :class:`~bbq_torchrl.envs.DialogueEnv` but ``batch_size`` (it is one
-            dialogue), such as ``slot_error_prob``, ``max_turn``, the rewards, ``seed``, and
-            ``schedule``, whose round :meth:`set_round` enters.
+            and ``action_mask``, bool [actions], for TorchRL's ``GymEnv``.
+        **settings: arguments of :class:`~bbq_torchrl.envs.DialogueEnv` except ``batch_size``, such
+            as ``slot_error_prob``, ``max_turn``, the rewards, ``seed``, and ``schedule``, whose
+            round is set by :meth:`set_round`.
 
     Raises:
-        ValueError: if a setting is out of range, or the domain's folder holds none.
+        ValueError: if a setting is out of range, or the domain cannot be loaded.
 
     Examples:
         >>> import gymnasium
@@ -79,7 +78,7 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
         39
     """
 
-    metadata = {"render_modes": ["ansi"], "render_fps": 1}  # noqa: RUF012 - Gymnasium has it so
+    metadata = {"render_modes": ["ansi"], "render_fps": 1}  # noqa: RUF012 - as in Gymnasium
 
     def __init__(
         self,
@@ -96,7 +95,7 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
         self.render_mode = render_mode
         self._dialogue = DialogueEnv(domain, batch_size=(), **settings)
         self._transcript = Transcript(self._dialogue.simulator.domain)
-        # The process that numbers which nobody chose are for, None where somebody did.
+        # The process that a drawn seed is for; None if the caller gave the seed.
         self._unseeded_in = 0 if settings.get("seed") is None else None
         self._is_over = True
         self.action_space = Discrete(len(domain.actions))
@@ -116,7 +115,7 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
         self._dialogue.set_round(round)
 
     def action_masks(self) -> NDArray[np.bool_]:
-        """Returns which actions are legal, bool [actions]."""
+        """Returns the legal actions, bool [actions]."""
         legal = self._dialogue.simulator.action_mask(self._dialogue.active_slots)
         mask: NDArray[np.bool_] = legal.cpu().numpy().copy()
         return mask
@@ -124,16 +123,15 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
     def reset(
         self, *, seed: int | None = None, options: dict[str, Any] | None = None
     ) -> tuple[Observation, dict[str, Any]]:
-        """Begins a dialogue. Returns the first observation, and ``info``.
+        """Starts a dialogue. Returns the first observation and ``info``.
 
         Args:
-            seed: of this dialogue and those that follow; None continues with the random numbers.
-            options: ``{"goal_id": n}``: the user has the domain's goal n, and all else is as it
-                would have been.
+            seed: seed of this dialogue and the following ones; None: the generator continues.
+            options: ``{"goal_id": n}`` gives the user the domain's goal n and leaves other random
+                choices unchanged.
 
         Raises:
-            ValueError: if the seed is not from 0 to 2**63 - 1, or for options of another name or
-                value.
+            ValueError: if the seed is not from 0 to 2**63 - 1, or an option is unknown or invalid.
         """
         if seed is not None:
             seed, self._unseeded_in = checked_seed(seed), None
@@ -145,22 +143,22 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
             self._unseeded_in = os.getpid()
         if seed is not None:
             self._dialogue.set_seed(seed)
-        begun = self._dialogue.reset(**(options or {}))
+        started = self._dialogue.reset(**(options or {}))
         self._is_over = False
-        return self._observation(begun), self._info(begun)
+        return self._observation(started), self._info(started)
 
     def step(self, action: np.int64 | int) -> tuple[Observation, float, bool, bool, dict[str, Any]]:
         """Plays one turn. Returns observation, reward, terminated, truncated and ``info``.
 
         Args:
-            action: an index of ``domain.actions``.
+            action: an index in ``domain.actions``.
 
         Raises:
-            ValueError: if it is none.
+            ValueError: if the index is out of range.
             gymnasium.error.ResetNeeded: before the first reset, and after a dialogue's end.
         """
         if self._is_over:
-            raise ResetNeeded("there is no dialogue under way: call reset() first")
+            raise ResetNeeded("no dialogue is in progress: call reset() first")
         index = np.asarray(action).squeeze()
         if not self.action_space.contains(index):
             last = len(self.domain.actions) - 1
@@ -181,29 +179,29 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
             return None
         return "\n".join(self._transcript.lines(self._dialogue.dialogues))
 
-    def _observation(self, told: TensorDict) -> Observation:
-        features: NDArray[np.float32] = told["observation"].cpu().numpy()
+    def _observation(self, step: TensorDict) -> Observation:
+        features: NDArray[np.float32] = step["observation"].cpu().numpy()
         if not self._mask_in_observation:
             return features
         return {"observation": features, "action_mask": self.action_masks()}
 
-    def _info(self, told: TensorDict) -> dict[str, Any]:
-        success = bool(told["success"])
+    def _info(self, step: TensorDict) -> dict[str, Any]:
+        success = bool(step["success"])
         return {
             "success": success,
             **({"is_success": success} if self._is_over else {}),
-            "turns": int(told["turns"]),
+            "turns": int(step["turns"]),
             "goal": self._transcript.goal(self._dialogue.dialogues),
-            "goal_id": int(told["goal_id"]),
+            "goal_id": int(step["goal_id"]),
             "action_mask": self.action_masks().astype(np.int8),
         }
 
 
 def _feature_space(env: DialogueEnv) -> Box:
-    """Returns the space of the features: all between 0 and 1, but for numbers of acts and rows."""
+    """Returns the space of the features: [0, 1] except for the numbers of acts and records."""
     layout = env.layout
     high = np.ones(layout.size, dtype=np.float32)
-    # The last turn counts two acts beyond max_turn at most; the first state has one already.
+    # The last turn is at most two acts beyond max_turn, and the first state counts one act.
     high[layout["turn"]] = (2 * env.max_agent_turns + 1) / TURN_SCALE
     high[layout["kb_count"]] = len(env.domain.records) / COUNT_SCALE
     return Box(np.zeros_like(high), high)

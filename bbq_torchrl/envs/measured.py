@@ -1,4 +1,4 @@
-"""Errors as they happen in sentences: counted once for a domain, read where they are drawn."""
+"""Measured errors: counting the errors of sentences for a domain, and loading the counts."""
 
 from __future__ import annotations
 
@@ -37,39 +37,38 @@ if TYPE_CHECKING:
     from bbq_torchrl.simulator.tracker import AgentTurn
 
 ERRORS_FILE = "errors.json"
-"""The counts in a domain's folder."""
+"""The file of counts in a domain's folder."""
 
 _COMMAND = "bbq language count"
 _BATCH = 500
-_RANDOM = 0.15  # share of scripted actions at random: an agent that learns does everything
+_RANDOM = 0.15  # share of random actions: an agent that learns tries everything
 
 
 def load_errors(domain: Domain) -> MeasuredErrors:
-    """Returns the errors that were counted for a domain.
+    """Loads the errors counted for a domain.
 
     Args:
-        domain: whose folder has :data:`ERRORS_FILE`.
+        domain: the domain, with :data:`ERRORS_FILE` in its folder.
 
     Raises:
-        ValueError: there are none, or they are of another domain, or of this one when it had other
-            slots.
+        ValueError: if the file is missing, damaged, or of a domain with other slots.
     """
     file = None if domain.folder is None else domain.folder / ERRORS_FILE
     if file is None or not file.is_file():
-        place = f"the domain {domain.name}, which has none" if file is None else shown(str(file))
+        found = f"{domain.name} without a folder" if file is None else f"no {shown(str(file))}"
         raise ValueError(
-            f"env.errors=measured needs the counts of {place}: `{_COMMAND} --domain <folder>` "
-            f"makes {ERRORS_FILE} in the folder of a domain"
+            f"env.errors=measured needs a domain folder with {ERRORS_FILE}, got {found}: "
+            f"`{_COMMAND} --domain <folder>` writes {ERRORS_FILE} into it"
         )
     try:
         counts = json.loads(file.read_text(encoding="utf-8-sig"))
         counted = {slot for row in counts["requests"].values() for slot in row}
-        if counted != {*domain.slots}:  # in every turn each slot is asked for or not
+        if counted != {*domain.slots}:  # the requests of every turn count all slots
             raise ValueError(f"its slots are {', '.join(sorted(counted))}")
         return MeasuredErrors(tensorize(domain), counts)
-    except Exception as error:  # JSON nested too deeply, rows too short, counts of nothing
+    except Exception as error:  # such as JSON nested too deeply or missing counts
         raise ValueError(
-            f"{file} is damaged, or counts the errors of another domain ({error!r}): make it anew "
+            f"{file} is damaged or has the errors of another domain ({error!r}): write it again "
             f"by `{_COMMAND} --domain {file.parent}`"
         ) from error
 
@@ -81,17 +80,17 @@ def count_errors(
     seed: int = 0,
     trained: Mapping[str, TensorDictModuleBase] | None = None,
 ) -> dict[str, Any]:
-    """Returns what was heard of what users said in simulated dialogues at the level of text.
+    """Counts what is said and heard in simulated dialogues at the level of text.
 
-    The domain's scripted policies play half of the turns, one after another, with a share of
-    actions at random. Trained agents play the other half as they are: what they tell users, and
-    what these then correct, no script does.
+    The domain's scripted policies play half of the turns, one after another, with a share of random
+    actions. Trained agents play the other half without random actions: no script informs users as
+    they do, and is corrected as they are.
 
     Args:
-        domain: what is spoken of.
-        turns: of users; at least so many are counted.
-        seed: of everything random.
-        trained: the policies of trained agents, of one replica, by name; without any the scripted
+        domain: the domain.
+        turns: the least number of user turns to count.
+        seed: seed of all random numbers.
+        trained: policies of trained agents, of one replica, by name. Without them the scripted
             policies play all turns.
     """
     from bbq_torchrl.envs.text import text_channel  # imports the language layer
@@ -109,8 +108,8 @@ def count_errors(
             if channel.turns >= turns * half / len(halves):
                 break
             env = DialogueEnv(domain, batch_size=(1, _BATCH), channel=channel, seed=seed + number)
-            own = scripted_policy(policy, env) if isinstance(policy, str) else policy
-            _play(env, own, random, generator)
+            module = scripted_policy(policy, env) if isinstance(policy, str) else policy
+            _play(env, module, random, generator)
             number += 1
     return {
         "domain": domain.name,
@@ -124,7 +123,7 @@ def count_errors(
 def _play(
     env: DialogueEnv, policy: TensorDictModuleBase, random: float, generator: torch.Generator
 ) -> None:
-    """Plays the environment's dialogues to their end, with a share of actions at random."""
+    """Plays the environment's dialogues to their end, with a share of random actions."""
     shape, actions = env.batch_size, env.domain.actions
     ends = torch.tensor([action.act in ("thanks", "closing") for action in actions])
     state = env.reset()
@@ -132,15 +131,15 @@ def _play(
         while not bool(state["done"].all()):
             action = policy(state)["action"]
             other = torch.randint(len(actions), shape, generator=generator)
-            strays = torch.rand(shape, generator=generator) < random
-            # Few strays end a dialogue, or there would be no late turns.
-            strays &= ~ends[other] | (torch.rand(shape, generator=generator) < random)
-            state["action"] = torch.where(strays, other, action)
+            is_random = torch.rand(shape, generator=generator) < random
+            # Random actions seldom end a dialogue, because late turns are needed too.
+            is_random &= ~ends[other] | (torch.rand(shape, generator=generator) < random)
+            state["action"] = torch.where(is_random, other, action)
             state = step_mdp(env.step(state))
 
 
 def errors_text(counts: Mapping[str, Any]) -> str:
-    """Returns the text of :data:`ERRORS_FILE`: JSON, a line for every row of the tables."""
+    """Returns the text of :data:`ERRORS_FILE`: JSON with a line for each row of the tables."""
     return f"{_lines(counts, 0)}\n"
 
 
@@ -159,7 +158,7 @@ def _lines(content: Any, depth: int) -> str:
 
 
 class _Recorder:
-    """The channel of sentences, which counts what it transmits."""
+    """A wrapper of the channel of sentences that counts the utterances."""
 
     def __init__(self, channel: TextChannel) -> None:
         self._channel = channel
@@ -171,7 +170,7 @@ class _Recorder:
         self._questions = questions_of(coding.acts, coding.slots)
         self._text = coding.text
         self._counted: Counter[tuple[str, ...]] = Counter()
-        self._asked: dict[tuple[str, str], list[int]] = defaultdict(lambda: [0, 0])
+        self._requests: dict[tuple[str, str], list[int]] = defaultdict(lambda: [0, 0])
 
     def to(self, device: torch.device | str) -> _Recorder:
         return self
@@ -220,9 +219,9 @@ class _Recorder:
         for slot, (said, _) in values:
             if not said:
                 continue
-            place = moved[1] if moved and moved[0] == slot else slot
-            value = heard_informs[place]
-            name = f"{slots[place]}={text(place, value)}" if value else ""
+            target = moved[1] if moved and moved[0] == slot else slot
+            value = heard_informs[target]
+            name = f"{slots[target]}={text(target, value)}" if value else ""
             counted["values", CONTEXTS[contexts[slot]], slots[slot], text(slot, said), name] += 1
         counted["inserted", asked, "turns"] += 1
         for slot in [] if moved else new[:1]:
@@ -231,12 +230,12 @@ class _Recorder:
         count = min(sum(requests), MOST_REQUESTS)
         for slot, name in enumerate(slots):
             said_ = "said" if requests[slot] else "unsaid"
-            pair = self._asked[f"{count} {said_} {CONTEXTS[contexts[slot]]}", name]
+            pair = self._requests[f"{count} {said_} {CONTEXTS[contexts[slot]]}", name]
             pair[0] += heard_requests[slot]
             pair[1] += 1
 
     def counts(self) -> dict[str, Any]:
-        """Returns the counts as plain data, in an order that does not depend on chance."""
+        """Returns the counts as plain data, in a deterministic order."""
         counts: dict[str, Any] = {
             "acts": {},
             "values": {context: {} for context in CONTEXTS},
@@ -244,7 +243,7 @@ class _Recorder:
             "requests": {},
         }
         rows: dict[tuple[str, ...], Any] = dict(self._counted)
-        rows |= {("requests", *path): pair for path, pair in self._asked.items()}
+        rows |= {("requests", *path): pair for path, pair in self._requests.items()}
         for (*above, last), number in sorted(rows.items()):
             reduce(lambda found, key: found.setdefault(key, {}), above, counts)[last] = number
         return counts

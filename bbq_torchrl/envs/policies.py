@@ -1,4 +1,4 @@
-"""Hand-written policies: a fixed sequence, a form to fill in, pure chance, and a domain's own."""
+"""Scripted policies: a fixed sequence, a form to fill in, random actions, and those of a domain."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
 
 class SequencePolicy(TensorDictModuleBase):
-    """Plays a fixed sequence of actions, whatever happens; its last action again and again.
+    """Plays a fixed sequence of actions, then repeats the last one.
 
     Args:
         actions: the actions in order, at least one.
@@ -30,7 +30,7 @@ class SequencePolicy(TensorDictModuleBase):
         action_key: where the action is written, int64 ``[*batch]``.
 
     Raises:
-        ValueError: if there is no action, or one that is no integer.
+        ValueError: if the sequence is empty, or an action is not an integer.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -60,27 +60,26 @@ class SequencePolicy(TensorDictModuleBase):
         self.register_buffer("actions", torch.tensor(indices, dtype=torch.int64))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes the action whose turn it is."""
+        """Writes the action of this turn."""
         turns = tensordict.get(self.turns_key).squeeze(-1)
         action = self.actions[turns.clamp(max=self.actions.shape[0] - 1)]
         return tensordict.set(self.action_key, action)
 
 
 class CarefulPolicy(TensorDictModuleBase):
-    """Asks for what is unfilled, answers what it is asked, offers a booking and ends.
+    """Requests unfilled slots, answers requests, offers a booking and ends.
 
-    All from flags that it observes. It goes through its requests in order and leaves out those
-    whose slot is filled. After the last of them it answers the first open question, one a turn,
-    until there is none; then it offers the booking, then it ends. Illegal requests and answers are
-    left out.
+    It uses only flags of the observation. It makes its requests in order, without those of filled
+    slots. Then it answers the first open question of each turn until all are answered, offers the
+    booking, and ends. It skips illegal requests and answers.
 
     Args:
-        env: a :class:`~bbq_torchrl.envs.DialogueEnv` whose domain's actions it plays, with or
-            without transforms; these must leave the observation as it is.
+        env: a :class:`~bbq_torchrl.envs.DialogueEnv` with the domain's actions; transforms must not
+            change the observation.
         slots: the slots that it requests, in order.
 
     Raises:
-        ValueError: if the domain has no action that it takes.
+        ValueError: if the domain lacks an action that the policy needs.
     """
 
     def __init__(self, env: EnvBase, slots: Sequence[str]) -> None:
@@ -103,7 +102,7 @@ class CarefulPolicy(TensorDictModuleBase):
         self._end = domain.action_index("thanks")
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes the action that comes next."""
+        """Writes the next action."""
         flags, is_legal = tensordict.get("observation") > 0, tensordict.get("action_mask")
         positions = torch.arange(len(self._filled), device=flags.device)
         position = torch.where(flags[..., self._requested], positions, -1).amax(-1, keepdim=True)
@@ -118,7 +117,7 @@ class CarefulPolicy(TensorDictModuleBase):
 
 
 class UniformPolicy(TensorDictModuleBase):
-    """Plays a legal action, all alike. Unlike TorchRL's ``RandomPolicy`` it reads the mask.
+    """Plays uniformly random legal actions. Unlike TorchRL's ``RandomPolicy`` it reads the mask.
 
     Args:
         mask_key: bool ``[*batch, N]``, the legal actions, at least one.
@@ -152,11 +151,11 @@ def scripted_policy(name: str, env: EnvBase) -> TensorDictModuleBase:
         name: one of the domain's policies (the movie domain has ``rule``, ``rule_inform``,
             ``careful_essential``, ``careful`` and ``repair``), ``"random"``, or the privileged
             ``"clairvoyant"``.
-        env: a :class:`~bbq_torchrl.envs.DialogueEnv`, with or without transforms; these must
-            leave the observation and the mask as they are.
+        env: a :class:`~bbq_torchrl.envs.DialogueEnv`; transforms must not change the observation
+            and the mask.
 
     Raises:
-        ValueError: if there is no such policy, or a step of its script is illegal in the
+        ValueError: if the policy does not exist, or a step of its script is illegal in the
             environment's round.
 
     Examples:
@@ -185,7 +184,7 @@ def scripted_policy(name: str, env: EnvBase) -> TensorDictModuleBase:
                 action = domain.actions[step]
                 raise ValueError(
                     f"policy {name} cannot be played in round {env.round}: the slot "
-                    f"{action.slot} of its step {action} comes later"
+                    f"{action.slot} of its step {action} is added later"
                 )
         policy = SequencePolicy(steps)
     elif specification.kind == "careful":

@@ -1,4 +1,4 @@
-"""A hand-written policy that hears where it was misunderstood, and asks again."""
+"""A scripted policy that detects misunderstandings and asks again."""
 
 from __future__ import annotations
 
@@ -15,42 +15,43 @@ if TYPE_CHECKING:
     from torchrl.envs import EnvBase
 
 MEMORY = "memory"
-"""The entry that carries the policy's memory from turn to turn."""
+"""The entry with the policy's memory."""
 
 MOST_CONFIRMS = 12
-"""The most times the user is asked to continue."""
+"""The limit on asking the user to continue."""
 
 MOST_OFFERS = 3
-"""The most offers of a booking."""
+"""The limit on offers of a booking."""
 
 
 class RepairPolicy(TensorDictModuleBase):
-    """Books by observation alone, and asks again for what cannot be right.
+    """Books from observations alone, and asks again after a misunderstanding.
 
-    Each turn it takes the first of these that there is reason for:
+    Each turn it takes the first action with a reason:
 
     1. The user has just thanked for the booking: end the dialogue.
-    2. In the first turn the user asks a question: request what the question is about, which has a
-       simulated user say all that it wants at once.
-    3. Before any answer no record matches what the tracker holds, or an offer was denied: request
-       the filled slots again, in order: all once after a denial, else as long as no record matches.
+    2. The user asks a question in the first turn: request the question's slot, which makes a
+       simulated user inform all its constraints at once.
+    3. No record matches the values held before any answer, or an offer was denied: request the
+       filled slots again, in order; after a denial all of them once, otherwise until a record
+       matches.
     4. The user asks a question: answer it.
-    5. The user may have more to say: tell of the ticket, once, then ``confirm_answer`` until the
-       user gives thanks, at most :data:`MOST_CONFIRMS` times.
+    5. The user may have more to say: inform the ticket once, then ``confirm_answer`` until the user
+       gives thanks, at most :data:`MOST_CONFIRMS` times.
     6. Offer the booking, at most :data:`MOST_OFFERS` times.
     7. End the dialogue.
 
-    What it has asked, told and offered is a nested TensorDict, the entry :data:`MEMORY`. It is a
-    function of the observations so far, and is empty where a dialogue begins. Rollouts and
-    collectors carry it from turn to turn; other loops do so by ``step_mdp``.
+    Its memory of requests, informs and offers is a nested TensorDict, the entry :data:`MEMORY`. It
+    is a function of the observations so far, empty at the start of a dialogue. Rollouts and
+    collectors pass it from turn to turn; other loops do so by ``step_mdp``.
 
     Args:
-        env: a :class:`~bbq_torchrl.envs.DialogueEnv` whose domain's actions it plays, with or
-            without transforms; these must leave the observation as it is.
+        env: a :class:`~bbq_torchrl.envs.DialogueEnv` with the domain's actions; transforms must not
+            change the observation.
         slots: the slots that it requests again, in order.
 
     Raises:
-        ValueError: if the domain lacks an action that it takes.
+        ValueError: if the domain lacks an action that the policy needs.
 
     Examples:
         >>> from bbq_torchrl.domains import movie_domain
@@ -87,7 +88,7 @@ class RepairPolicy(TensorDictModuleBase):
         self._complete = domain.slots.index(domain.complete_slot)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes the action that comes next, and the memory."""
+        """Writes the next action and the memory."""
         flags, is_legal = tensordict.get("observation") > 0, tensordict.get("action_mask")
         layout, column = self._layout, self._layout.column
         is_first = ~flags[..., layout["agent_act"]].any(-1, keepdim=True)
@@ -111,13 +112,13 @@ class RepairPolicy(TensorDictModuleBase):
         begins = has_offered | (is_misheard & ~left.any(-1, keepdim=True))
         asked, left = asked & ~begins, torch.where(begins, again, left)
 
-        may_go_on = confirms < MOST_CONFIRMS
+        may_confirm = confirms < MOST_CONFIRMS
         reasons = [
             questions[..., self._askable] & is_first,
             left & (is_misheard | (offers > 0)),
             questions[..., self._answers],
-            may_go_on & ~filled[..., self._ticket, None],
-            may_go_on,
+            may_confirm & ~filled[..., self._ticket, None],
+            may_confirm,
             offers < MOST_OFFERS,
         ]
         ends = torch.ones_like(is_first)
@@ -128,18 +129,18 @@ class RepairPolicy(TensorDictModuleBase):
         return tensordict.set("action", self._plan[is_open.to(torch.uint8).argmax(-1)])
 
     def _remembered(self, tensordict: TensorDictBase, is_first: torch.Tensor) -> TensorDictBase:
-        """Returns the memory of the turns before, empty where a dialogue begins.
+        """Returns the memory of earlier turns, empty at the start of a dialogue.
 
         Raises:
-            ValueError: if a dialogue that is under way has none.
+            ValueError: if a dialogue in progress lacks it.
         """
         memory = tensordict.get(MEMORY, None)
         if memory is not None:
             return memory.apply(lambda entry: entry * ~is_first)
         if not bool(is_first.all()):
             raise ValueError(
-                f"the entry {MEMORY!r} is missing in a dialogue that is under way: carry it from "
-                "step to step, as step_mdp(env.step(tensordict)) does"
+                f"the entry {MEMORY!r} is missing in a dialogue in progress: pass it from step to "
+                "step, as step_mdp(env.step(tensordict)) does"
             )
         nothing = torch.zeros_like(is_first, dtype=torch.int64)
         no_slot = torch.zeros_like(is_first).repeat_interleave(self._n_slots, -1)
@@ -148,5 +149,5 @@ class RepairPolicy(TensorDictModuleBase):
 
 
 def indices(numbers: Iterable[int]) -> torch.nn.Buffer:
-    """Returns indices as a buffer, int64, which moves with its module."""
+    """Returns indices as an int64 buffer, which moves with its module."""
     return torch.nn.Buffer(torch.tensor(list(numbers), dtype=torch.int64))

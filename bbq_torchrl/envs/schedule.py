@@ -1,4 +1,4 @@
-"""Domain extension: which slots there are in which round of training."""
+"""Domain extension: the active slots in each round of training."""
 
 from __future__ import annotations
 
@@ -11,10 +11,10 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class ExtensionSchedule:
-    """Starts with a domain's essential slots and adds others, one at a time.
+    """A schedule that starts with a domain's essential slots and adds others one at a time.
 
-    Lipton et al. (2018) train 40 rounds on the essential slots and add a slot every 10 rounds from
-    then on; which slot comes when is the domain's ``extension_order``.
+    Lipton et al. (2018) train 40 rounds on the essential slots and then add a slot every 10 rounds.
+    The domain's ``extension_order`` has the order.
 
     Args:
         start: the round, counted from 0, that adds the first slot.
@@ -37,7 +37,7 @@ class ExtensionSchedule:
 
     def __post_init__(self) -> None:
         if self.start < 0:
-            raise ValueError(f"start must be a round, 0 or later, got {self.start}")
+            raise ValueError(f"start must be a round from 0 on, got {self.start}")
         if self.every < 1:
             raise ValueError(f"every must be at least 1 round, got {self.every}")
 
@@ -45,30 +45,29 @@ class ExtensionSchedule:
         """Returns the slots active in a round, in the order of the domain's slots.
 
         Args:
-            domain: whose essential slots to start with.
+            domain: the domain.
             round: the round, counted from 0.
         """
         added = {slot for start, slot in self.additions(domain).items() if start <= round}
         return tuple(slot for slot in domain.slots if slot in added or slot in domain.essential)
 
     def never_active(self, domain: Domain) -> tuple[str, ...]:
-        """Returns the slots that are active in no round: goals are restricted to the others.
+        """Returns the slots that no round activates; goals are restricted to the others.
 
         Raises:
-            ValueError: if the agent has actions for one of them that could never be played.
+            ValueError: if the agent has actions for one of them, which could never be played.
         """
         active = {*domain.essential, *domain.extension_order}
         never = tuple(slot for slot in domain.slots if slot not in active)
         dead = [slot for slot in never if any(action.slot == slot for action in domain.actions)]
         if dead:
             raise ValueError(
-                f"domain extension would never activate {', '.join(dead)}, which actions of the "
-                f"agent are about: domain {domain.name!r} must have them in essential or in "
-                "extension_order"
+                f"domain extension would never activate {', '.join(dead)}, for which the agent has "
+                f"actions: domain {domain.name!r} must have them in essential or in extension_order"
             )
         return never
 
     def additions(self, domain: Domain) -> dict[int, str]:
-        """Returns the slot that each round adds."""
+        """Returns the added slot by round."""
         order = enumerate(domain.extension_order)
         return {self.start + index * self.every: slot for index, slot in order}

@@ -1,4 +1,4 @@
-"""Saving an environment's own state where TorchRL saves that of its transforms."""
+"""A transform that saves the environment's state with that of the transforms."""
 
 from __future__ import annotations
 
@@ -11,19 +11,19 @@ if TYPE_CHECKING:
 
 
 class EnvState(Transform):
-    """Puts the state of the environment below it into the ``state_dict`` of its transforms.
+    """Adds the state of the base environment to the ``state_dict`` of a ``TransformedEnv``.
 
-    TorchRL saves of a ``TransformedEnv``, and so of a ``Collector`` and a ``Trainer``, the
-    transforms alone. With this transform among them a :class:`~bbq_torchrl.envs.DialogueEnv` (or a
-    ``SerialEnv`` or ``ParallelEnv`` of them) is saved and loaded with them: dialogues, random
-    generator and round. Otherwise it changes nothing.
+    TorchRL saves only the transforms of a ``TransformedEnv``, and so of a ``Collector`` and a
+    ``Trainer``. This transform saves and loads a :class:`~bbq_torchrl.envs.DialogueEnv` (or a
+    ``SerialEnv`` or ``ParallelEnv`` of them) along with them: dialogues, random generator and
+    round. It has no other effect.
 
-    A ``Collector`` does not save its last observation. Ask for it once more after loading, by
-    ``collector.reset(resume=True)``; what other transforms count, as ``StepCounter`` does,
-    begins anew there. The ``MultiSyncCollector`` cannot hand ``resume`` on: its dialogues go on,
-    but each worker chooses its next actions by what it was told before loading. A ``ParallelEnv``
-    needs ``use_buffers=False``: with buffers, that of torchrl 0.14.1 answers too early once it has
-    loaded.
+    A ``Collector`` does not save its last observation. Get it again after loading by
+    ``collector.reset(resume=True)``, which restarts the counts of other transforms, such as
+    ``StepCounter``. The ``MultiSyncCollector`` cannot pass on ``resume``: its dialogues continue,
+    but each worker chooses its next actions from the observation before loading. A ``ParallelEnv``
+    needs ``use_buffers=False``: with buffers, that of torchrl 0.14.1 responds too early after
+    loading.
 
     Examples:
         >>> from torchrl.envs import TransformedEnv
@@ -33,9 +33,9 @@ class EnvState(Transform):
         ...     TransformedEnv(DialogueEnv(movie_domain(), seed=seed), EnvState())
         ...     for seed in (0, 1)
         ... )
-        >>> told = one.reset()
+        >>> observed = one.reset()
         >>> _ = other.load_state_dict(one.state_dict())
-        >>> bool((other.reset(resume=True) == told).all())
+        >>> bool((other.reset(resume=True) == observed).all())
         True
     """
 
@@ -43,12 +43,12 @@ class EnvState(Transform):
         super().__init__(in_keys=[], out_keys=[])
 
     def get_extra_state(self) -> dict[str, Any]:
-        """Returns the environment's ``state_dict``; nothing outside of an environment."""
+        """Returns the environment's ``state_dict``; empty outside an environment."""
         container = self.container
         return {} if container is None else dict(container.base_env.state_dict())
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Loads what :meth:`get_extra_state` returned into the environment."""
+        """Loads the result of :meth:`get_extra_state` into the environment."""
         if self.container is not None:
             self.container.base_env.load_state_dict(state)
 

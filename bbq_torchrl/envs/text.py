@@ -1,4 +1,4 @@
-"""Dialogues at the level of text: what users mean becomes sentences, which are understood."""
+"""Dialogues at the level of text: users' acts become sentences, which the nlu understands."""
 
 from __future__ import annotations
 
@@ -22,35 +22,36 @@ if TYPE_CHECKING:
     from bbq_torchrl.simulator.tracker import AgentTurn
 
 VARIANTS = 16
-"""How many ways there are to say an act; the words of each are chosen anew."""
+"""The number of wordings of an act."""
 
-_REMEMBERED = 200_000
+_CACHE_SIZE = 200_000
 _BEFORE = -1
 
 
 class TextChannel:
-    """The channel of sentences: what the user means is said in words, and understood from them.
+    """The channel of sentences: the user's act is generated as a sentence and understood from it.
 
-    The sentence is made by the domain's grammar, in words that are drawn, and understood in the
-    light of the agent's act, as in a chat; and by the rule of the chat
-    (:class:`~bbq_torchrl.people.language.asking.Asking`) the system asks again. A user who is asked
-    again says the same in other words, or the one value that was asked about, and each time takes
-    a turn.
-    A value in another spelling of the domain's ("7:30pm", "7:30 pm") is the one that was said: that
-    corpora spell values in several ways is no misunderstanding. What was understood once of the
-    same act after the same act of the agent in the same words is remembered and not understood
-    again. A loop over the dialogues: for evaluation. It cannot be pickled, nor can an environment
-    with it: a process of its own is given the function that makes them.
+    The domain's grammar generates the sentence in a random wording. The nlu interprets it in the
+    context of the agent's act, as in a chat, and the system asks again by the same rule
+    (:class:`~bbq_torchrl.people.language.asking.Asking`). The user then repeats the act in other
+    words, or the one value asked about, and each repetition takes a turn.
+
+    A value understood in another spelling ("7:30pm", "7:30 pm") counts as the value said: corpora
+    spell values in several ways, which is not a misunderstanding. Results are cached by act,
+    wording and the agent's act before.
+
+    The channel loops over the dialogues, so it is meant for evaluation. Neither it nor an
+    environment with it can be pickled; give other processes the function that makes them.
 
     Args:
         domain: the domain's tensors.
-        understand: who understands.
-        speak: who says what users mean.
+        understand: the nlu.
+        speak: the nlg of the users.
         ask_below: the confidence below which the system asks again, between 0 (never) and 1;
-            ``None`` for what is usual to who understands.
+            ``None`` for the default of the nlu.
 
     Attributes:
-        coding: how frames are numbered.
+        coding: the ids of frames.
     """
 
     slot_draws: tuple[str, ...] = ()
@@ -67,10 +68,10 @@ class TextChannel:
         self._understand, self._speak, self._ask_below = understand, speak, ask_below
         self._act = domain.act
         self.coding = Coding(domain)
-        self._heard: dict[bytes, torch.Tensor] = {}
+        self._cache: dict[bytes, torch.Tensor] = {}
 
     def to(self, device: torch.device | str) -> TextChannel:
-        """Returns itself: what is heard is made where the users' acts are."""
+        """Returns itself: utterances are created on the device of the users' acts."""
         return self
 
     def transmit(
@@ -82,7 +83,7 @@ class TextChannel:
         draws: TensorDictBase,
         active: torch.Tensor,
     ) -> Utterance:
-        """Returns what is heard; see :class:`~bbq_torchrl.simulator.Channel`."""
+        """Returns the utterance heard; see :class:`~bbq_torchrl.simulator.Channel`."""
         n_slots, shape = said.informs.shape[-1], said.act.shape
         parts = [said.act[..., None], said.informs, said.requests]
         if agent is not None:
@@ -92,7 +93,7 @@ class TextChannel:
         rows = row.reshape(-1, row.shape[-1]).int().cpu()  # value ids and variants fit into 32 bits
         found = torch.zeros(len(rows), 2 + 2 * n_slots, dtype=torch.long)
         for number in (~is_silent).flatten().nonzero().flatten().tolist():
-            found[number] = self._recall(rows[number], n_slots)
+            found[number] = self._cached(rows[number], n_slots)
         found = found.view(*shape, -1).to(said.act.device)
         repeats, act, informs, requests = found.split([1, 1, n_slots, n_slots], -1)
         act = act.squeeze(-1)
@@ -104,13 +105,13 @@ class TextChannel:
             repeats.squeeze(-1),
         )
 
-    def _recall(self, row: torch.Tensor, n_slots: int) -> torch.Tensor:
-        """Returns what is understood, long ``[2 + 2 S]``: repeats, act, informs, requests."""
+    def _cached(self, row: torch.Tensor, n_slots: int) -> torch.Tensor:
+        """Returns the utterance heard, long ``[2 + 2 S]``: repeats, act, informs, requests."""
         key = row.numpy().tobytes()
-        heard = self._heard.get(key)
+        heard = self._cache.get(key)
         if heard is None:
-            if len(self._heard) >= _REMEMBERED:
-                self._heard.clear()
+            if len(self._cache) >= _CACHE_SIZE:
+                self._cache.clear()
             words, *row_ = row.tolist()
             width = 1 + 2 * n_slots
             frame, *question = (
@@ -118,7 +119,7 @@ class TextChannel:
                 for part in (row_[at : at + width] for at in range(0, len(row_), width))
             )
             heard = self._hear(frame, question[0] if question else None, words)
-            self._heard[key] = heard
+            self._cache[key] = heard
         return heard
 
     def _hear(self, frame: Frame, question: Frame | None, words: int) -> torch.Tensor:
@@ -128,7 +129,7 @@ class TextChannel:
             text = self._speak.user(said, question, session=words, turn=asking.times)
             try:
                 understood = self._understand(text, asking.question(question))
-            except TextError:  # what cannot be read says nothing
+            except TextError:  # unreadable text has no content
                 understood = Understood(Frame("not_sure"), 0.0)
             if not asking.asks(self._understand, understood, self._ask_below):
                 break
@@ -153,14 +154,14 @@ class TextChannel:
 def text_channel(domain: Domain, ask_below: float | None = None) -> TextChannel:
     """Returns the channel of sentences of a domain.
 
-    Its understander is trained in about a minute where the user's cache folder has none.
+    If the user's cache folder lacks the domain's nlu, training it takes about a minute.
 
     Args:
-        domain: whose phrases are in its folder, or the generic ones.
+        domain: the domain, with phrases in its folder; otherwise generic phrases are used.
         ask_below: the confidence below which the system asks again; see :class:`TextChannel`.
 
     Raises:
-        ModuleNotFoundError: the extra ``language`` is not installed.
+        ModuleNotFoundError: if the extra ``language`` is not installed.
     """
     understand = cached_understander(domain)
     speak = Generator(domain)

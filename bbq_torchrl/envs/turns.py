@@ -1,4 +1,4 @@
-"""The parts of a turn: checked actions, and a step that is compiled."""
+"""Checks of actions, batch size and device, and the compiled turn."""
 
 from __future__ import annotations
 
@@ -20,12 +20,12 @@ def action_indices(action: Tensor, batch_size: Sequence[int], count: int) -> Ten
     """Returns indices of actions, of any integer dtype, as int64, shape [*batch].
 
     Args:
-        action: what was chosen.
-        batch_size: the shape that it must have.
-        count: how many actions there are.
+        action: the actions.
+        batch_size: their expected shape.
+        count: number of actions to choose from.
 
     Raises:
-        ValueError: for another shape or dtype, such as one-hot actions.
+        ValueError: if shape or dtype differ, as for one-hot actions.
 
     Examples:
         >>> action_indices(torch.tensor([3, 0], dtype=torch.int32), [2], 4)
@@ -41,7 +41,7 @@ def action_indices(action: Tensor, batch_size: Sequence[int], count: int) -> Ten
 
 
 def check_range(action: Tensor, count: int) -> None:
-    """Raises ValueError for an index that is no action's."""
+    """Raises ValueError if an index is out of range."""
     wrong = action[(action < 0) | (action >= count)]
     if wrong.numel():
         raise ValueError(f"action must be from 0 to {count - 1}, got {int(wrong[0])}")
@@ -51,7 +51,7 @@ def checked_batch(batch_size: Sequence[int]) -> torch.Size:
     """Returns the batch size.
 
     Raises:
-        ValueError: if it is no sequence of positive integers.
+        ValueError: if it is not a sequence of positive integers.
     """
     try:
         shape = torch.Size([index(size) for size in batch_size])
@@ -59,7 +59,7 @@ def checked_batch(batch_size: Sequence[int]) -> torch.Size:
         shape = torch.Size([0])
     if any(size < 1 for size in shape):
         raise ValueError(
-            f"batch_size must be a sequence of numbers above 0, such as (50,), got {batch_size}"
+            f"batch_size must be a sequence of positive numbers, such as (50,), got {batch_size}"
         )
     return shape
 
@@ -79,16 +79,16 @@ def present_device(device: torch.device | str) -> torch.device:
 
 
 class CompiledPlay:
-    """A simulator's turn, compiled; a copy and another process compile it anew.
+    """A simulator's compiled turn; copies and other processes compile it again.
 
-    It gives the same numbers, but for what a compiler may do to floating-point ones (the features,
-    which are ratios of small integers).
+    Its numbers are the same, except for the rounding of floating-point ones: the features, which
+    are ratios of small integers.
     """
 
     def __init__(self, simulator: Simulator) -> None:
         self._simulator = simulator
-        # Else all environments of a process together have the 8 programs that torch allows a turn.
-        # (Torch's overloads lack the keyword.)
+        # isolate_recompiles: otherwise all environments of a process share torch's limit of 8
+        # programs. (Torch's overloads lack the keyword.)
         self._play = torch.compile(  # type: ignore[call-overload]
             simulator.play, fullgraph=True, dynamic=False, isolate_recompiles=True
         )

@@ -1,4 +1,4 @@
-"""The privileged policy: it books whatever can be booked."""
+"""The privileged policy books whatever can be booked."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from bbq_torchrl.evaluation.rollouts import evaluate, evaluation_rollouts
 
 
 def can_be_met(domain):
-    """Whether a record meets each goal's constraints and has a value of all that it requests."""
+    """Returns, for each goal, whether a record meets its constraints and answers its requests."""
     tensors = tensorize(domain)
     records = tensors.records[None]
     wanted, requested = tensors.goal_constraints[:, None], tensors.goal_requests[:, None].clone()
@@ -42,8 +42,7 @@ def test_it_plays_one_dialogue_as_a_batch_of_one(movie):
 
 @pytest.mark.parametrize(
     ("mode", "share"),
-    # In modes slot and mixed values get into slots that are not asked again, as they are the
-    # agent's to tell.
+    # In modes slot and mixed, errors also fill slots that the agent informs and never requests.
     [("value", 0.9), ("slot", 0.7), ("delete", 0.9), ("mixed", 0.7)],
 )
 def test_what_was_misheard_is_asked_again(movie, mode, share):

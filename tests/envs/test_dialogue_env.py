@@ -1,4 +1,4 @@
-"""The dialogue environment by itself: specs, resets, seeds, state, settings."""
+"""The dialogue environment: specs, resets, seeds, state, settings."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from bbq_torchrl.envs.measured import load_errors
 
 
 def step(env, *names):
-    """Plays an action in all dialogues, or one in each. Returns what the agent is told."""
+    """Plays one action in all dialogues, or one for each. Returns the observation."""
     actions = torch.tensor([env.domain.action_index(name) for name in names])
     return env.step(env.dialogues.select().set("action", actions.expand(env.batch_size)))["next"]
 
@@ -54,7 +54,7 @@ def test_a_partial_reset_starts_those_dialogues_only(movie, batch_size):
     step(env, "greeting")
     before, state = step(env, "request(city)"), env.dialogues.clone()
     which = torch.tensor([False, True, False, False, True, False]).view(*batch_size, 1)
-    # TorchRL keeps what is not reset from the data that comes with the mask.
+    # TorchRL keeps entries that are not reset from the data that comes with the mask.
     after = env.reset(before.clone().set("_reset", which))
     mask = which.squeeze(-1)
     assert (after["turns"].squeeze(-1) == torch.where(mask, 0, 2)).all()
@@ -191,7 +191,7 @@ def test_settings_reach_the_simulator(movie):
 @pytest.mark.parametrize(
     ("settings", "message"),
     [
-        ({"batch_size": 5}, "batch_size must be a sequence of numbers above 0, .* got 5"),
+        ({"batch_size": 5}, "batch_size must be a sequence of positive numbers, .* got 5"),
         ({"batch_size": (0,)}, r"batch_size must be a sequence .* got \(0,\)"),
         ({"batch_size": (3, 0)}, r"batch_size must be a sequence .* got \(3, 0\)"),
         ({"batch_size": (-1,)}, r"batch_size must be a sequence .* got \(-1,\)"),

@@ -1,4 +1,4 @@
-"""Domain extension: slots, actions, goals and features that come in the course of training."""
+"""Domain extension: slots, actions, goals and features that are added during training."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ def test_a_slot_comes_every_ten_rounds_after_forty(movie):
 
 
 def test_a_schedule_that_makes_no_sense_is_refused(restaurant):
-    with pytest.raises(ValueError, match="start must be a round, 0 or later, got -1"):
+    with pytest.raises(ValueError, match="start must be a round from 0 on, got -1"):
         ExtensionSchedule(start=-1)
     with pytest.raises(ValueError, match="every must be at least 1 round, got 0"):
         ExtensionSchedule(every=0)
@@ -67,7 +67,7 @@ def test_goals_and_features_know_only_the_active_slots(movie):
     assert env.dialogues["requests"][:, movie.slots.index(movie.ticket_slot)].all()
     before = env.dialogues["constraints"].clone()
     env.set_round(1_000)
-    env.rand_step(env.dialogues.select())  # dialogues under way keep their goals
+    env.rand_step(env.dialogues.select())  # started dialogues keep their goals
     assert torch.equal(env.dialogues["constraints"], before)
     env.reset()
     assert env.dialogues["constraints"][:, away].any()

@@ -1,4 +1,4 @@
-"""One dialogue as a Gymnasium environment: its checker, and the same dialogues as DialogueEnv's."""
+"""The Gymnasium environment: Gymnasium's checker, and the same dialogues as DialogueEnv."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from bbq_torchrl.envs.gymnasium import ENV_ID  # noqa: E402
 
 
 def goals_of(env, seed=None, count=8):
-    """Returns the goals of the environment's next dialogues, the first of which has the seed."""
+    """Returns the goals of the environment's next dialogues, the first of them seeded."""
     return [env.reset(seed=seed if n == 0 else None)[1]["goal_id"] for n in range(count)]
 
 
@@ -196,7 +196,7 @@ def test_a_turn_after_the_end_and_a_seed_that_is_too_large_are_refused(movie):
     env = gymnasium.make(ENV_ID).unwrapped
     for prepare in (lambda: None, lambda: (env.reset(), env.step(movie.action_index("thanks")))):
         prepare()
-        with pytest.raises(ResetNeeded, match="no dialogue under way"):
+        with pytest.raises(ResetNeeded, match="no dialogue is in progress"):
             env.step(0)
     with pytest.raises(ValueError, match="seed must be an integer from 0 to 2\\*\\*63 - 1, got"):
         env.reset(seed=2**70)

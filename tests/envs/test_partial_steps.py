@@ -55,7 +55,7 @@ def test_a_transform_can_have_dialogues_wait(movie):
 
 
 def test_a_rollout_to_the_last_dialogues_end_is_as_without_waiting(movie):
-    """TorchRL has those wait that are over, which the environment leaves as they are anyway."""
+    """TorchRL skips dialogues that are over, which the environment never changes anyway."""
     rollouts = []
     for breaks in (True, False):
         env = make(movie, (20,))

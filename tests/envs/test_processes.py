@@ -1,4 +1,4 @@
-"""Environments in several processes: those without a seed play different dialogues."""
+"""Environments in several processes: without a seed they play different dialogues."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def parallel(make):
 
 
 def in_forked(count, call):
-    """Results of a function in each of several forked processes."""
+    """Returns the results of a function in several forked processes."""
     context = multiprocessing.get_context("fork")
     queues = [context.SimpleQueue() for _ in range(count)]
     workers = [context.Process(target=lambda q=queue: q.put(call())) for queue in queues]

@@ -1,4 +1,4 @@
-"""The policy that asks again: what it plays in which situation, and what it remembers."""
+"""The policy that asks again: its actions in different situations, and its memory."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ FILLED = "filled:city filled:date"
 
 
 def acts(env, *turns):
-    """The actions of turns of one dialogue, each given by the flags that are set in it."""
+    """Returns the actions in the turns of a dialogue, each given by its set flags."""
     policy, tensordict, actions = RepairPolicy(env, SLOTS), TensorDict(batch_size=[1]), []
     for flags in turns:
         assert set(flags.split()) <= {*env.layout.names}
@@ -38,7 +38,7 @@ def acts(env, *turns):
         (["user_requested:zip kb_match:all"], "inform(ticket)"),  # zip is masked
         (["user_requested:ticket kb_match:all"], "inform(ticket)"),
         (["kb_match:all filled:ticket"], "confirm_answer"),
-        # No record matches: again and again, in order, but for what was answered and is masked.
+        # No record matches: requests repeat in order, except for answered and masked slots.
         (["filled:date filled:zip"], "request(date)"),
         (["", f"{FILLED} agent_act:request agent_requested:city"], "request(date)"),
         (
@@ -120,7 +120,7 @@ def test_it_plays_legal_actions_in_every_round_of_domain_extension(movie):
 def test_it_decides_by_what_is_observed_alone_and_forgets_where_a_dialogue_begins(movie):
     env = DialogueEnv(movie, batch_size=(50,), seed=0, slot_error_prob=0.2)
     policy = scripted_policy("repair", env)
-    rollout = env.rollout(40, policy, break_when_any_done=False)  # several dialogues a place
+    rollout = env.rollout(40, policy, break_when_any_done=False)  # several dialogues each
     begins = rollout["turns"].squeeze(-1) == 0
     assert begins.sum(1).min() > 1
     first = rollout[begins]["memory"]
@@ -145,5 +145,5 @@ def test_a_memory_that_was_lost_on_the_way_is_missed(movie):
     env = DialogueEnv(movie, batch_size=(3,), seed=0)
     policy = scripted_policy("repair", env)
     after = env.step(policy(env.reset()))["next"]
-    with pytest.raises(ValueError, match="'memory' is missing in a dialogue that is under way"):
+    with pytest.raises(ValueError, match="'memory' is missing in a dialogue in progress"):
         policy(after)

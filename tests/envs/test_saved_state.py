@@ -1,4 +1,4 @@
-"""States that TorchRL saves of what is around an environment, and what is played after loading."""
+"""The state of environments in what TorchRL saves, and the dialogues after loading it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ def saved(state, tmp_path):
 
 
 def played(env, told, turns=30):
-    """Observations of a number of turns, dialogue after dialogue, by actions of one seed."""
+    """Returns the observations of a number of turns, with actions from a seed."""
     torch.manual_seed(0)
     found = []
     for _ in range(turns):
@@ -141,7 +141,7 @@ def test_what_cannot_be_resumed_is_refused(movie):
         total_frames=-1,
         auto_register_policy_transforms=False,
     )
-    with pytest.raises(ValueError, match=r"saves that of TransformedEnv\(env, EnvState\(\)\)"):
+    with pytest.raises(ValueError, match=r"only for TransformedEnv\(env, EnvState\(\)\)"):
         collector.load_state_dict(collector.state_dict())
     collector.shutdown()
     env = DialogueEnv(movie, batch_size=(2,), seed=0)
@@ -149,5 +149,5 @@ def test_what_cannot_be_resumed_is_refused(movie):
         env.reset(resume=True)
     ends = env.reset().set("action", torch.tensor([0, movie.action_index("thanks")]))
     env.step(ends)
-    with pytest.raises(ValueError, match="needs dialogues that are all under way"):
+    with pytest.raises(ValueError, match="needs dialogues in progress, got some"):
         env.reset(resume=True)

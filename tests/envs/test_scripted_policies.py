@@ -1,4 +1,4 @@
-"""The scripted policies: what they play in which situation."""
+"""The scripted policies: their actions in different situations."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from bbq_torchrl.evaluation.rollouts import evaluate
 
 
 def played(env, policy):
-    """Returns what the policy plays in each dialogue, to the end of it."""
+    """Returns the policy's actions in each dialogue, to its end."""
     rollout = env.rollout(env.max_agent_turns, policy, break_when_any_done=False)
     lengths = rollout["next", "done"].squeeze(-1).long().argmax(1) + 1
     lines = zip(rollout["action"].tolist(), lengths.tolist(), strict=True)

@@ -1,4 +1,4 @@
-"""Dialogues whose users speak in sentences, with somebody who understands by the letter."""
+"""Dialogues whose users speak in sentences, with an exact nlu."""
 
 from __future__ import annotations
 
@@ -62,13 +62,13 @@ def channel_of(domain, **settings):
 
 
 def begun(domain, channel, **settings):
-    """Returns an environment, and what it tells of the openings."""
+    """Returns an environment and the observation of the openings."""
     env = DialogueEnv(domain, batch_size=(PLACES,), channel=channel, seed=1, **settings)
     return env, env.reset()
 
 
 def say(env, told, name):
-    """Plays an action in all dialogues. Returns what the agent is told."""
+    """Plays an action in all dialogues. Returns the observation."""
     action = torch.full(env.batch_size, env.domain.action_index(name))
     return env.step(told.set("action", action))["next"]
 
@@ -78,8 +78,8 @@ def played(domain, channel, turns=12):
     env = DialogueEnv(domain, batch_size=(2, PLACES), channel=channel, seed=1)
     told = env.reset()
     yield env.dialogues
-    # Who is offered nothing to choose from does not care, and its tracker cannot know whether it
-    # still has questions: the one case in which both differ.
+    # A user who is offered no values does not care, and the tracker cannot know whether it still
+    # has questions: the only case in which both differ.
     acts = [n for n, action in enumerate(domain.actions) if action.act != "multiple_choice"]
     for _ in range(turns):
         told["action"] = torch.tensor(acts)[torch.randint(len(acts), env.batch_size)]
@@ -104,7 +104,7 @@ def test_who_is_understood_by_the_letter_is_seen_as_at_the_level_of_acts(name, r
 
 def test_a_sentence_is_not_understood_twice_in_one_context(movie):
     channel, letters = channel_of(movie)
-    for _ in range(2):  # the second time it says the same once more
+    for _ in range(2):  # the second time it repeats itself
         torch.manual_seed(0)
         list(played(movie, channel, turns=3))
         said = [*letters.said]
@@ -128,7 +128,7 @@ def test_a_request_that_is_heard_once_is_kept_until_it_is_answered(movie):
     env, told = begun(movie, channel)
     asked, theater = env.dialogues["pending"].clone(), movie.slots.index("theater")
     assert asked[:, theater].any()
-    letters.forgets = movie.slots  # from here on nothing is understood
+    letters.forgets = movie.slots  # nothing is understood from now on
     told = say(env, told, "greeting")
     assert torch.equal(env.dialogues["heard_requests"], asked)
     say(env, told, "inform(theater)")
@@ -166,12 +166,12 @@ def test_who_is_asked_again_is_understood_and_takes_turns(movie, action):
         assert torch.equal(before["user_informs"], before["meant_informs"])
         assert torch.equal(before["heard_act"], before["user_act"])
         told = say(env, told, action)
-        # A dialogue that nobody ends has an act of each side more than max_turn allows.
+        # A dialogue without an end has one more act of each side than max_turn.
         spent = before["turn"] + 2 * before["repeats"]
         assert torch.equal(env.dialogues["done"], before["done"] | (spent + 2 > 40))
         rewards += told["reward"].squeeze(-1)
     assert told["done"].all()
-    # All turns but the last cost 1, and so does what was asked again; failing costs 10.
+    # All turns but the last cost 1, and so do repetitions; failing costs 10.
     cost = told["turns"].squeeze(-1) - 1 + env.dialogues["repeats"] + 10
     assert torch.equal(rewards, -cost.float())
     asked = {(words % 3, turn) for _, _, words, turn in letters.said}
@@ -182,7 +182,7 @@ def test_after_asking_twice_it_acts_on_what_it_has(movie):
     channel, letters = channel_of(movie, unsure=lambda words: 3)
     env, _ = begun(movie, channel)
     assert (env.dialogues["repeats"] == 2).all()
-    assert (env.dialogues["heard_act"] == movie.acts.index("deny")).all()  # misheard as it is
+    assert (env.dialogues["heard_act"] == movie.acts.index("deny")).all()  # although misheard
     assert {turn for *_, turn in letters.said} == {0, 1, 2}
 
 
@@ -198,7 +198,7 @@ def test_a_slot_that_is_not_active_is_not_heard(movie):
 
 
 def counted(domain, monkeypatch, turns=500, trained=None, **settings):
-    """Returns the counts, as they are written and read again."""
+    """Returns the counts after writing and reading them."""
     name = "bbq_torchrl.envs.text.text_channel"
     monkeypatch.setattr(name, lambda _: channel_of(domain, **settings)[0])
     monkeypatch.setattr(measured, "_BATCH", 60)
@@ -259,7 +259,7 @@ def test_who_is_always_understood_is_counted_so(restaurant, monkeypatch):
 
 
 def test_trained_agents_play_half_of_what_is_counted(movie, monkeypatch):
-    tells = SequencePolicy([movie.action_index("inform(zip)")])  # and never anything else
+    tells = SequencePolicy([movie.action_index("inform(zip)")])  # in every turn
     counts = counted(movie, monkeypatch, 800, {"own": tells})
     assert counts["trained"] == ["own"]
     told = [row for key, row in counts["acts"].items() if key.startswith("inform ")]
@@ -284,7 +284,7 @@ def test_counts_that_are_damaged_or_of_other_slots_are_refused(movie, tmp_path):
             measured.load_errors(replace(movie, folder=tmp_path))
     assert movie.slots[-1] == "mc_list"
     for slots in (movie.slots[:-1], (*movie.slots, "seats")):
-        with pytest.raises(ValueError, match=r"counts the errors of another domain.*its slots are"):
+        with pytest.raises(ValueError, match=r"has the errors of another domain.*its slots are"):
             measured.load_errors(replace(movie, slots=slots))
 
 

@@ -1,4 +1,4 @@
-"""A turn waits for no device, and is the same compiled and as it is."""
+"""A turn never waits for the device, and compiling does not change it."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def make_env(domain, **options):
 
 
 def turns(env):
-    """Returns what an agent that acts at random is told, over two rounds of the extension."""
+    """Returns the observations of a random agent over two rounds of the extension."""
     torch.manual_seed(5)
     told = []
     for round_number in (0, 4):
@@ -51,8 +51,8 @@ def test_neither_a_turn_nor_a_reset_waits_for_the_device(movie):
 
 @pytest.mark.parametrize("mode", ["value", "slot", "delete", "mixed", "measured"])
 def test_everything_that_a_turn_uses_is_on_its_device(movie, mode):
-    # Tensors on the device "meta" have no numbers: whatever asks for one, or mixes them with
-    # tensors of the CPU, fails.
+    # Tensors on the device "meta" have no numbers: code that reads one, or mixes them with tensors
+    # on the CPU, fails.
     tensors = tensorize(movie)
     errors = load_errors(movie) if mode == "measured" else ErrorModel(tensors, 0.3, mode, 0.2)
     simulator = Simulator(tensors, errors=errors).to("meta")

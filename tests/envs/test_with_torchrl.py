@@ -1,4 +1,4 @@
-"""The environment beside TorchRL's collectors, vectorized environments and transforms."""
+"""The environment with TorchRL's collectors, vectorized environments and transforms."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ def test_several_environments_play_side_by_side(movie, vectorized):
     try:
         env.set_seed(0)
         check_env_specs(env)
-        # Their spec has no mask, so that it takes a policy to act by it.
+        # Their spec has no mask, so a policy is needed that reads it.
         rollout = env.rollout(12, UniformPolicy(), break_when_any_done=False)
     finally:
         env.close()
