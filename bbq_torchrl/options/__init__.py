@@ -1,8 +1,8 @@
-"""Options: the choices of the command line, a class each.
+"""Options: the choices of the command line, one class each.
 
-A group is a page here, with the base class of its options and ours. An option of your own is one
-file, which enters by the same door, :func:`register`. Importing options imports neither torch nor
-Hydra; an option's ``make`` does.
+Each group is a page with the base class of its options and ours. Your option is one file, which
+registers in the same way, by :func:`register`. Importing options imports neither torch nor Hydra;
+an option's ``make`` does.
 """
 
 from __future__ import annotations

@@ -44,19 +44,19 @@ if TYPE_CHECKING:
 
 @dataclass
 class AgentOption(Option):
-    """A Q-network of some hidden layers, trained by Adam.
+    """A Q-network with hidden layers, trained by Adam.
 
     Attributes:
-        offers: what exploration can use of it: any of ``posterior``, ``heads``, ``noise``,
-            ``values`` (one Q-value an action), or a word that a strategy of your own needs.
-        explores_by: the strategy that it has where none is chosen.
-        modes: of :meth:`make_evaluation`, where there are several policies to evaluate.
+        offers: the features that exploration can use: any of ``posterior``, ``heads``, ``noise``,
+            ``values`` (a Q-value for each action), or a word that your strategy needs.
+        explores_by: the default strategy.
+        modes: the modes of :meth:`make_evaluation`, if the agent has several policies.
     """
 
     group: ClassVar[str] = "agent"
 
     hidden: list[int] = setting([256, 256], COUNTS, "units of each hidden layer")
-    lr: Values = setting("${protocol.lr}", per_replica(STEP_SIZE), "step size of Adam")
+    lr: Values = setting("${protocol.lr}", per_replica(STEP_SIZE), "learning rate of Adam")
     gamma: Values = setting(0.9, per_replica(PROBABILITY), "discount of a turn")
 
     offers: ClassVar[tuple[str, ...]] = ("values",)
@@ -67,14 +67,14 @@ class AgentOption(Option):
     def make_actor(self, task: Task) -> QValueActor:
         """Makes the Q-network and its choice of an action.
 
-        Weights are drawn from torch's global generator, and have the replicas as their first
-        dimension: a network of your own says so by an attribute ``replicas``, the number of them.
-        Of what is not active yet they start by :meth:`Task.reset_inactive_`.
+        Weights are drawn from torch's global generator, with the replicas as the first dimension;
+        your network needs an attribute ``replicas`` with their number. Weights of inactive inputs
+        and actions are set by :meth:`Task.reset_inactive_`.
         """
 
     @abstractmethod
     def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
-        """Makes the loss, which returns ``loss`` (scalar) and ``loss_value`` [replicas]."""
+        """Makes the loss, which returns ``loss``, a scalar, and ``loss_value``, [replicas]."""
 
     def make_optimizer(
         self, actor: QValueActor, parameters: Iterable[nn.Parameter], task: Task
@@ -82,9 +82,10 @@ class AgentOption(Option):
         """Makes the optimizer: Adam, a separate one for each replica.
 
         Args:
-            actor: of :meth:`make_actor`.
-            parameters: all that are learned: the actor's, and those of an intrinsic reward's model.
-            task: what they fit.
+            actor: the result of :meth:`make_actor`.
+            parameters: all learned parameters: the actor's, and those of a model for intrinsic
+                rewards.
+            task: the task.
         """
         from bbq_torchrl.trainers import ReplicaAdam
 
@@ -100,16 +101,16 @@ class AgentOption(Option):
     def make_evaluation(
         self, actor: QValueActor, mode: str | None = None
     ) -> tuple[str, TensorDictModuleBase]:
-        """Returns the name of the policy that is to be reported, and that policy.
+        """Returns the name of the policy to report, and the policy.
 
         Args:
-            actor: of :meth:`make_actor`.
-            mode: one of :attr:`modes`; None: the agent's own.
+            actor: the result of :meth:`make_actor`.
+            mode: one of :attr:`modes`; None: the agent's default.
         """
         return "greedy", self.make_greedy(actor)
 
     def check_mode(self, mode: str | None) -> None:
-        """Refuses a mode that is not one of the agent's."""
+        """Refuses a mode that the agent does not have."""
         if mode is not None and mode not in self.modes:
             several = f"one of {', '.join(self.modes)} or " if self.modes else ""
             raise ConfigError(f"mode must be {several}null for agent={self.name}, got {mode!r}")
@@ -120,28 +121,26 @@ class AgentOption(Option):
 
 
 EVALUATION_MODES = ("mean", "average", "draw", "thompson")
-"""The policies that a Bayesian agent can be evaluated by."""
+"""The policies for evaluating a Bayesian agent."""
 
 TARGET_NOISE = {"map": ("mean",), "mc": ("independent", "shared")}
-"""target -> the noise its weights can have, the default first."""
+"""target -> allowed noise of its weights, the default first."""
 
 
 @register
 @dataclass
 class BBQN(AgentOption):
-    """Bayes-by-Backprop Q-network: a Gaussian for every weight and bias."""
+    """Bayes-by-Backprop Q-network: a Gaussian over each weight and bias."""
 
     name: str = option("bbqn")
     prior_std: Any = setting(
         0.037,
         or_text(per_replica(POSITIVE), "fan_in"),
-        "std of the prior; fan_in: sqrt(2 / fan-in) a layer",
+        "std of the prior; fan_in: sqrt(2 / fan-in) of each layer",
     )
-    mean_init: str = setting(
-        "kaiming", one_of("zero", "kaiming"), "where the posterior means start"
-    )
+    mean_init: str = setting("kaiming", one_of("zero", "kaiming"), "initial posterior means")
     std_init: Any = setting(
-        0.02, optional(per_replica(POSITIVE), "prior_std"), "where the posterior stds start"
+        0.02, optional(per_replica(POSITIVE), "prior_std"), "initial posterior stds"
     )
     noise_std: Values = setting(
         1.0, per_replica(POSITIVE), "std of the noise on the target, in units of Q"
@@ -149,26 +148,26 @@ class BBQN(AgentOption):
     kl: str = setting("closed", one_of("closed", "sampled"), "how KL(q || p) is computed")
     kl_temperature: Values = setting(0.014, per_replica(NON_NEGATIVE), "factor on the KL term")
     target: str = setting(
-        "map", one_of("map", "mc"), "target by the frozen posterior's mean, or by one draw of it"
+        "map", one_of("map", "mc"), "target from the frozen posterior's mean, or from a draw of it"
     )
     target_noise: str | None = setting(
         None,
         optional(one_of("mean", "independent", "shared"), "mean for map, independent for mc"),
-        "noise of the target's weights: none, its own, or that of the online draw",
+        "noise of the target's weights: none, an independent draw, or that of the online draw",
     )
     evaluate: str = setting(
         "mean",
         one_of(*EVALUATION_MODES),
-        "policy evaluated: mean network, average of draws, one draw, new draws at every step",
+        "policy evaluated: mean network, average of draws, one draw, or a new draw at every step",
     )
-    evaluate_draws: int = setting(10, SIZE, "draws that evaluate=average takes the mean of")
+    evaluate_draws: int = setting(10, SIZE, "number of draws that evaluate=average averages")
 
     offers: ClassVar[tuple[str, ...]] = ("posterior", "values")
     explores_by: ClassVar[str] = "thompson_boltzmann"
     modes: ClassVar[tuple[str, ...]] = EVALUATION_MODES
 
     def check(self) -> None:
-        """Refuses a target noise of the other target."""
+        """Refuses a target noise that the target does not allow."""
         allowed = TARGET_NOISE[self.target]
         if self.target_noise not in (None, *allowed):
             raise ConfigError(
@@ -196,7 +195,7 @@ class BBQN(AgentOption):
         return q_actor(network, task.action_spec, action_mask_key=task.action_mask_key)
 
     def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
-        """The negative ELBO of a draw of the weights."""
+        """The negative ELBO of a weight draw."""
         from bbq_torchrl.objectives import BBQNLoss
 
         return BBQNLoss(
@@ -223,14 +222,14 @@ class BBQN(AgentOption):
 @register
 @dataclass
 class Bootstrap(AgentOption):
-    """Bootstrapped DQN: heads that learn from a sample of the transitions each."""
+    """Bootstrapped DQN: heads that each learn from a sample of the transitions."""
 
     name: str = option("bootstrap")
     heads: int = setting(10, SIZE, "number of heads")
     trunk_layers: int | None = setting(
         None,
         optional(NON_NEGATIVE_INTEGER, "all hidden layers"),
-        "hidden layers that the heads share; 0: as many networks as heads",
+        "hidden layers that the heads share; 0: a separate network for each head",
     )
     mask_prob: float = setting(
         1.0, ABOVE_ZERO_TO_ONE, "probability that a head learns from a transition"
@@ -240,12 +239,12 @@ class Bootstrap(AgentOption):
     )
     double: bool = setting(False, BOOLEAN, "choose the target's action by the online head")
 
-    # Its greedy action is what most heads vote for: there is no value to put into a softmax.
+    # The greedy action is a majority vote of the heads, which has no values for a softmax.
     offers: ClassVar[tuple[str, ...]] = ("heads",)
     explores_by: ClassVar[str] = "bootstrap"
 
     def check(self) -> None:
-        """Refuses more shared layers than there are."""
+        """Refuses more shared layers than hidden layers."""
         if (self.trunk_layers or 0) > len(self.hidden):
             raise ConfigError(
                 f"agent.trunk_layers must be at most the {len(self.hidden)} layers of "
@@ -270,14 +269,14 @@ class Bootstrap(AgentOption):
         return bootstrap_actor(network, task.action_spec, action_mask_key=task.action_mask_key)
 
     def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
-        """The squared TD error of the heads that a transition is for."""
+        """The squared TD error of the heads that learn from a transition."""
         from bbq_torchrl.objectives import BootstrapDQNLoss
 
         gamma = over_replicas(self.gamma, task)
         return BootstrapDQNLoss(actor, gamma=gamma, double_dqn=self.double)
 
     def make_greedy(self, actor: QValueActor) -> TensorDictModuleBase:
-        """The action that most heads vote for."""
+        """The majority vote of the heads."""
         from bbq_torchrl.exploration import MajorityVote
 
         return MajorityVote(actor)
@@ -285,11 +284,11 @@ class Bootstrap(AgentOption):
     def make_evaluation(
         self, actor: QValueActor, mode: str | None = None
     ) -> tuple[str, TensorDictModuleBase]:
-        """The vote."""
+        """The majority vote."""
         return "vote", super().make_evaluation(actor, mode)[1]
 
     def make_transforms(self, task: Task) -> list[Transform]:
-        """Draws for each stored transition the heads that learn from it."""
+        """Draws the heads that learn from each stored transition."""
         from bbq_torchrl.data import BootstrapMask
 
         return [BootstrapMask(self.heads, self.mask_prob, replicas=task.replicas)]
@@ -307,7 +306,7 @@ class DQN(AgentOption):
         "probability of dropping a hidden unit in the prediction",
     )
     double: bool = setting(False, BOOLEAN, "choose the target's action by the online network")
-    noisy: bool = setting(False, BOOLEAN, "NoisyNet layers in the place of dropout")
+    noisy: bool = setting(False, BOOLEAN, "NoisyNet layers instead of dropout")
 
     offers: ClassVar[tuple[str, ...]] = ("values", "noise")
 
@@ -320,7 +319,7 @@ class DQN(AgentOption):
             )
 
     def make_actor(self, task: Task) -> QValueActor:
-        """A ReLU network, its layers noisy if asked for."""
+        """A ReLU network, with noisy layers if chosen."""
         from bbq_torchrl.networks import FlatMLP, NoisyMLP, q_actor
 
         sizes = (task.inputs, task.actions, self.hidden)

@@ -1,6 +1,6 @@
-"""The checks of a whole configuration: what two options must agree on is said here.
+"""Checks of a whole configuration: what two options must agree on.
 
-An option of another package adds such a check by the same door::
+Options of other packages add such checks in the same way::
 
     @agreement
     def check_my_pair(config: Config) -> None: ...
@@ -26,30 +26,30 @@ Agreement = Callable[[Config], None]
 _AGREEMENTS: dict[str, Agreement] = {}
 
 FIXED_ROWS = 200
-"""The cost of a step of parallel dialogues, or of an update, before its rows, in rows.
+"""The fixed cost of an update, or of a step of parallel dialogues, in rows.
 
-Measured on a CPU core for BBQN and DQN, batches of 32 and 128, 50 to 1,000 dialogues, one and five
-replicas: with this, the time of a step or update per row is within a factor of two of its mean.
+With it the time per row, measured on a CPU core for BBQN and DQN, batches of 32 and 128, 50 to
+1,000 dialogues, one and five replicas, is within a factor of two of its mean.
 """
 
 
 def agreement(check: Agreement) -> Agreement:
-    """Adds a check of a training's configuration; a decorator.
+    """Registers a check of a training's configuration; a decorator.
 
-    The check raises :class:`~bbq_torchrl.options.ConfigError` for what cannot be combined.
+    The check raises :class:`~bbq_torchrl.options.ConfigError` for invalid combinations.
     """
     _AGREEMENTS[f"{check.__module__}.{check.__qualname__}"] = check
     return check
 
 
 def validate(config: Config | EvaluateConfig | CalibrateConfig) -> None:
-    """Refuses a configuration that cannot be run.
+    """Refuses an invalid configuration.
 
     Raises:
         ConfigError: one sentence that names the key, its value and what is allowed.
     """
     if isinstance(config, Config):
-        # First, so that an error names the key that was given: others take its values over.
+        # First, so that an error names the key that was given: other keys take over its values.
         check_settings(config.env, "env.")
         check_settings(config.protocol, "protocol.")
     check_settings(config)
@@ -66,7 +66,7 @@ def validate(config: Config | EvaluateConfig | CalibrateConfig) -> None:
 
 
 def _check_alone(part: Option, config: Config) -> None:
-    """Lets an option check itself; the old form of ``check`` takes the configuration."""
+    """Calls an option's ``check``, which in its old form takes the configuration."""
     if inspect.signature(part.check).parameters:
         warnings.warn(
             f"{type(part).__qualname__}.check(config) will have no argument: what two options "
@@ -102,21 +102,21 @@ def _check_lists(config: Config) -> None:
 
 @agreement
 def _check_noise(config: Config) -> None:
-    """Refuses a strategy that needs a network's noise where it has none."""
+    """Refuses a strategy that needs noise for a network without noise."""
     agent, explore = config.agent, config.explore
     if isinstance(agent, DQN) and "noise" in explore.needs and not agent.noisy:
         raise ConfigError(
-            f"explore={explore.name} needs a network that has noise: agent.noisy must be true"
+            f"explore={explore.name} needs a network with noise: agent.noisy must be true"
         )
 
 
 @agreement
 def _check_kl(config: Config) -> None:
-    """Refuses a sampled KL where slots are added."""
+    """Refuses a sampled KL with domain extension."""
     if config.env.extends and isinstance(config.agent, BBQN) and config.agent.kl == "sampled":
         raise ConfigError(
             f"env={config.env.name} cannot be combined with agent.kl=sampled: the sampled "
-            "estimate moves the weights of slots that are not there yet, so agent.kl must be "
+            "estimate moves the weights of slots that are not yet active, so agent.kl must be "
             "closed"
         )
 
@@ -127,7 +127,7 @@ def _check_level(config: Config) -> None:
     if isinstance(config.env, FullDomain) and config.env.level == "text":
         raise ConfigError(
             "env.level must be act in training, got 'text': sentences are too slow for it; "
-            "env.errors=measured has the errors that were counted at that level"
+            "env.errors=measured has the errors counted in sentences"
         )
 
 
@@ -135,12 +135,12 @@ def _check_level(config: Config) -> None:
 def _check_evaluation(config: Config) -> None:
     """Refuses evaluations that would take longer than the rounds between them.
 
-    Both sides are counted, not timed: every step of the dialogues that are played in parallel, and
-    every update, counts 200 plus its rows (dialogues or transitions, of all replicas). Dialogues
-    are taken to be as long as they may be, and the buffer as full as it gets.
+    Both sides are counted, not timed: every step of parallel dialogues and every update counts 200
+    plus its rows (dialogues or transitions of all replicas). Dialogues count with their maximal
+    length, and the buffer as full as it gets.
 
     Raises:
-        ConfigError: with the numbers, and what would do.
+        ConfigError: with both counts and the allowed values.
     """
     protocol, replicas = config.protocol, config.replicas
     if not protocol.eval_every or protocol.eval_every > protocol.rounds:

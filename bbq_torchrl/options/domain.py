@@ -24,7 +24,7 @@ class DomainOption(Option):
         """Loads the domain.
 
         Raises:
-            ValueError or OSError: the corpus is damaged or not there.
+            ValueError or OSError: the corpus is damaged or missing.
         """
 
 
@@ -36,7 +36,7 @@ class MovieDomain(DomainOption):
     name: str = option("movie")
 
     def make(self) -> Domain:
-        """Loads it."""
+        """Loads the corpus."""
         from bbq_torchrl.domains import movie_domain
 
         return movie_domain()
@@ -51,7 +51,7 @@ class FolderDomain(DomainOption):
     path: str = setting(REQUIRED, ANY_TEXT, "the folder")
 
     def make(self) -> Domain:
-        """Loads and validates it."""
+        """Loads and validates the folder."""
         from bbq_torchrl.domains import load_domain
 
         return load_domain(self.path)
@@ -63,14 +63,14 @@ class MiuLabDomain(DomainOption):
     """The public MiuLab files (TC-Bot), read safely; they are not part of this project."""
 
     name: str = option("miulab")
-    path: str = setting(REQUIRED, ANY_TEXT, "folder that holds the files")
+    path: str = setting(REQUIRED, ANY_TEXT, "folder of the files")
     goals: str = setting("user_goals_first_turn_template.v2.p", ANY_TEXT, "file of user goals")
     kb: str = setting("movie_kb.1k.p", ANY_TEXT, "file of the knowledge base")
     values: str = setting("dicts.v3.p", ANY_TEXT, "file of the values that errors draw from")
     skip_unusable: bool = setting(
         True,
         BOOLEAN,
-        "goals, rows and slots that cannot be used are left out and named, or refused",
+        "leave out and report unusable goals, rows and slots; false: refuse them",
     )
 
     def make(self) -> Domain:

@@ -38,17 +38,17 @@ if TYPE_CHECKING:
 
 @dataclass
 class EnvOption(Option):
-    """An environment that the agent acts in.
+    """An environment for the agent.
 
-    What it makes is an ``EnvBase`` of batch size [replicas, episodes] whose specs have
-    ``observation`` (one dimension of floats), a categorical or one-hot ``action``, and
-    ``action_mask`` if not all actions are always legal. It writes ``("next", "success")``, bool
-    [replicas, episodes, 1], which says that an episode has ended well. Where it is a
-    :class:`~bbq_torchrl.protocols.RoundEnv`, it enters every round.
+    It is an ``EnvBase`` of batch size [replicas, episodes]. Its specs have ``observation`` (one
+    dimension of floats), a categorical or one-hot ``action``, and ``action_mask`` if some actions
+    can be illegal. It writes ``("next", "success")``, bool [replicas, episodes, 1]: whether an
+    episode has ended in success. A :class:`~bbq_torchrl.protocols.RoundEnv` is notified of every
+    round.
 
     Attributes:
-        has_domain: whether ``domain=`` is about it.
-        extends: whether features or actions come into use only in later rounds.
+        has_domain: whether the environment uses ``domain=``.
+        extends: whether some features or actions become active only in later rounds.
     """
 
     group: ClassVar[str] = "env"
@@ -70,24 +70,24 @@ class EnvOption(Option):
         """Makes the environment.
 
         Args:
-            domain: what the dialogues are about; None without :attr:`has_domain`.
+            domain: the domain of the dialogues; None without :attr:`has_domain`.
             batch_size: such as [replicas, episodes].
-            seed: of everything random in it.
-            device: where it is.
+            seed: seed of its random numbers.
+            device: its device.
         """
 
     @abstractmethod
     def steps(self) -> int:
-        """Returns how many steps an episode lasts at most."""
+        """Returns the largest number of steps of an episode."""
 
     def policies(self, domain: Domain | None) -> tuple[str, ...]:
-        """Returns the names of the scripted policies; there is also ``random``."""
+        """Returns the names of the scripted policies, without ``random``."""
         return ()
 
     def references(self, domain: Domain | None) -> tuple[str, ...]:
-        """Returns the names of the privileged policies: they read what no agent is shown.
+        """Returns the names of the privileged policies, which read more than agents observe.
 
-        They are an upper bound for agents, and are shown next to them in results and figures.
+        Results and figures show them next to agents as an upper bound.
         """
         return ()
 
@@ -100,17 +100,14 @@ class EnvOption(Option):
         return RandomLegalPolicy() if action_mask_key(env) else RandomPolicy(env.action_spec)
 
     def check_domain(self, domain: Domain | None) -> None:
-        """Raises ValueError for a domain that cannot be played in."""
+        """Raises ValueError for a domain that the environment cannot use."""
 
     def inactive(self, env: EnvBase) -> tuple[Tensor, Tensor] | None:
-        """Returns which features and which actions come into use later (bool), or None."""
+        """Returns the features and the actions that become active later (bool), or None."""
         return None
 
     def counted(self, env: EnvBase) -> Tensor | None:
-        """Returns which features tell kinds of states apart (bool), for counts of visits.
-
-        None stands for all of them.
-        """
+        """Returns the features that distinguish states in visit counts (bool); None: all."""
         return None
 
     def inactive_slots(self, domain: Domain | None) -> set[str]:
@@ -118,7 +115,7 @@ class EnvOption(Option):
         return set()
 
     def additions(self, domain: Domain | None) -> dict[int, str]:
-        """Returns the slot that each round adds, by round."""
+        """Returns the added slot by round."""
         return {}
 
 
@@ -131,40 +128,39 @@ class FullDomain(EnvOption):
     slot_error_prob: float | None = setting(
         None,
         optional(PROBABILITY, "the domain's calibrated difficulty"),
-        "probability that an informed slot is hit by an error",
+        "probability of an error in an informed slot",
     )
     slot_error_mode: str = setting(
-        "value", one_of("value", "slot", "delete", "mixed"), "what an error does to a slot"
+        "value", one_of("value", "slot", "delete", "mixed"), "effect of an error on a slot"
     )
     intent_error_prob: float = setting(0.0, PROBABILITY, "probability of a random user act")
     level: str = setting(
         "act",
         one_of("act", "text"),
-        "what users speak: dialogue acts, or sentences that are understood, for evaluation only",
+        "users' output: dialogue acts, or (for evaluation only) sentences that the nlu understands",
     )
     errors: str = setting(
         "drawn",
         one_of("drawn", "measured"),
-        "of dialogue acts: drawn with the probabilities above, or as counted where users spoke in "
-        "sentences",
+        "errors in dialogue acts: drawn with the probabilities above, or as measured in sentences",
     )
     ask_below: float | None = setting(
         None,
-        optional(PROBABILITY, "the understanding's own, .75"),
+        optional(PROBABILITY, "the nlu's default, .75"),
         "with level=text: confidence below which the system asks a user again; 0: never",
     )
-    max_turn: int = setting(40, integers(2, 1_000), "turns of a dialogue, both sides counted")
+    max_turn: int = setting(40, integers(2, 1_000), "turns of a dialogue, counting both sides")
     success_reward: float = setting(40.0, REWARD, "reward of a dialogue that succeeds")
     failure_reward: float = setting(-10.0, REWARD, "reward of a dialogue that fails")
     turn_reward: float = setting(-1.0, REWARD, "reward of a turn that does not end the dialogue")
     compile_turns: bool = setting(
-        False, BOOLEAN, "turns are compiled by torch.compile, which takes up to a minute"
+        False, BOOLEAN, "compile turns by torch.compile, which takes up to a minute"
     )
 
     has_domain: ClassVar[bool] = True
 
     def check(self) -> None:
-        """Refuses keys of errors that would not be used."""
+        """Refuses error keys that would have no effect."""
         is_text = self.level == "text"
         if is_text and self.errors != "drawn":
             raise ConfigError(
@@ -175,8 +171,8 @@ class FullDomain(EnvOption):
             raise ConfigError("env.compile_turns must be false with env.level=text, got true")
         if not is_text and self.ask_below is not None:
             raise ConfigError(
-                f"env.ask_below must be null with env.level=act, where there are no sentences to "
-                f"ask about, got {self.ask_below}"
+                f"env.ask_below must be null with env.level=act, which has no sentences to ask "
+                f"about, got {self.ask_below}"
             )
         if not is_text and self.errors == "drawn":
             return
@@ -186,14 +182,14 @@ class FullDomain(EnvOption):
             if getattr(self, key) != default[key]:
                 raise ConfigError(
                     f"env.{key} must be {'null' if default[key] is None else default[key]} with "
-                    f"{source}, which has errors of its own, got {getattr(self, key)}"
+                    f"{source}, which has other errors, got {getattr(self, key)}"
                 )
 
     def _channel(self, domain: Domain) -> Channel | None:
-        """Returns the error channel between user and tracker; None: errors as they are drawn.
+        """Returns the error channel between user and tracker; None: the default of drawn errors.
 
         Raises:
-            ConfigError: the domain or the installation lacks what it needs.
+            ConfigError: a file of the domain or a package is missing.
         """
         self.check()
         try:
@@ -213,21 +209,21 @@ class FullDomain(EnvOption):
             raise ConfigError(str(error)) from error
 
     def check_domain(self, domain: Domain | None) -> None:
-        """Refuses errors that were not counted for the domain."""
+        """Refuses measured errors for a domain without counts."""
         assert domain is not None
         self._channel(domain)
 
     def steps(self) -> int:
-        """The acts of both sides are counted by ``max_turn``; the agent has one act more."""
+        """Half of ``max_turn``, which counts both sides, and one more act of the agent."""
         return self.max_turn // 2 + 1
 
     def policies(self, domain: Domain | None) -> tuple[str, ...]:
-        """Those of the domain."""
+        """The domain's policies."""
         assert domain is not None
         return tuple(domain.policies)
 
     def references(self, domain: Domain | None) -> tuple[str, ...]:
-        """The one that knows the user's goal."""
+        """The policy that knows the user's goal."""
         from bbq_torchrl.domains.parts import PRIVILEGED_POLICY
 
         return (PRIVILEGED_POLICY,)
@@ -239,7 +235,7 @@ class FullDomain(EnvOption):
         return scripted_policy(name, env)
 
     def schedule(self) -> ExtensionSchedule | None:
-        """Returns the slots of each round; None: all of them, always."""
+        """Returns the schedule of slots; None: all slots are always active."""
         return None
 
     def make(
@@ -272,7 +268,7 @@ class FullDomain(EnvOption):
         )
 
     def counted(self, env: EnvBase) -> Tensor:
-        """The filled slots, the open questions, and whether the last act was an offer."""
+        """The filled slots, the open requests, and whether the last act was an offer."""
         import torch
 
         from bbq_torchrl.envs import DialogueEnv
@@ -288,37 +284,37 @@ class FullDomain(EnvOption):
 @register
 @dataclass
 class DomainExtension(FullDomain):
-    """The essential slots first; then the others one by one, in the domain's order."""
+    """The essential slots at first, then the others one by one in the domain's order."""
 
     name: str = option("domain_ext")
-    start: int = setting(40, NON_NEGATIVE_INTEGER, "round in which the first new slot appears")
-    every: int = setting(10, COUNT, "rounds between two new slots")
+    start: int = setting(40, NON_NEGATIVE_INTEGER, "round that adds the first slot")
+    every: int = setting(10, COUNT, "rounds from one new slot to the next")
     paper_rounds: int = other_default(FullDomain, "paper_rounds", 200)
 
     extends: ClassVar[bool] = True
 
     def schedule(self) -> ExtensionSchedule:
-        """Returns the slots of each round."""
+        """Returns the schedule of slots."""
         from bbq_torchrl.envs import ExtensionSchedule
 
         return ExtensionSchedule(start=self.start, every=self.every)
 
     def check_domain(self, domain: Domain | None) -> None:
-        """Refuses a slot that the agent has actions for and that no round adds, too."""
+        """Also refuses a slot that the agent has actions for and that no round adds."""
         super().check_domain(domain)
         assert domain is not None
         self.schedule().never_active(domain)
 
     def inactive(self, env: EnvBase) -> tuple[Tensor, Tensor]:
-        """Those of the slots that are not there in the first round."""
+        """The features and actions of slots that are not active in the first round."""
         return ~env.active_features, ~env.simulator.action_mask(env.active_slots)
 
     def inactive_slots(self, domain: Domain | None) -> set[str]:
-        """Those that are not essential and that the domain's order lacks."""
+        """The slots that are neither essential nor in the domain's extension order."""
         assert domain is not None
         return set(self.schedule().never_active(domain))
 
     def additions(self, domain: Domain | None) -> dict[int, str]:
-        """The slot that each round adds."""
+        """The added slot by round."""
         assert domain is not None
         return self.schedule().additions(domain)

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
 
 
 Exploration = tuple["TensorDictModuleBase", "dict[str, Callable[[], float | Tensor]]"]
-"""A policy, and its metrics by name: each returns one number, or [replicas]."""
+"""A policy, and functions that return its metrics by name, as one number or [replicas]."""
 
 
 @dataclass
@@ -39,7 +39,7 @@ class ExploreOption(Option):
     """The policy that acts while the agent learns.
 
     Attributes:
-        needs: what an agent must offer (:attr:`AgentOption.offers`) to explore so.
+        needs: the features that an agent must offer (:attr:`AgentOption.offers`).
     """
 
     group: ClassVar[str] = "explore"
@@ -53,7 +53,7 @@ class ExploreOption(Option):
         Args:
             actor: the agent's Q-network with its choice of an action.
             greedy: the agent's policy without exploration.
-            task: sizes that it has to fit; the policy acts on batches [replicas, dialogues].
+            task: the task; the policy acts on batches [replicas, dialogues].
         """
 
 
@@ -72,15 +72,13 @@ class GreedyActing(ExploreOption):
 @register
 @dataclass
 class EpsilonGreedy(ExploreOption):
-    """With probability epsilon a uniformly random legal action, else the greedy one."""
+    """The greedy action, or with probability epsilon a uniformly random legal one."""
 
     name: str = option("epsilon_greedy")
     eps_init: Values = setting(0.04, per_replica(PROBABILITY), "epsilon in the first round")
-    eps_end: Values = setting(
-        0.01, per_replica(PROBABILITY), "epsilon from the last annealed round on"
-    )
+    eps_end: Values = setting(0.01, per_replica(PROBABILITY), "epsilon after annealing")
     anneal_fraction: float = setting(
-        0.5, PROBABILITY, "share of the rounds over which epsilon falls, linearly"
+        0.5, PROBABILITY, "share of the rounds over which epsilon falls linearly"
     )
 
     def check(self) -> None:
@@ -116,11 +114,9 @@ class BoltzmannActing(ExploreOption):
     temperature_init: Values = setting(
         0.7, per_replica(POSITIVE), "temperature in the first round, units of Q"
     )
-    temperature_end: Values = setting(
-        0.7, per_replica(POSITIVE), "temperature from the last annealed round on"
-    )
+    temperature_end: Values = setting(0.7, per_replica(POSITIVE), "temperature after annealing")
     anneal_fraction: float = setting(
-        0.5, PROBABILITY, "share of the rounds over which the temperature falls, linearly"
+        0.5, PROBABILITY, "share of the rounds over which the temperature falls linearly"
     )
 
     needs: ClassVar[tuple[str, ...]] = ("values",)
@@ -130,7 +126,7 @@ class BoltzmannActing(ExploreOption):
         check_falls(self, "temperature_init", "temperature_end")
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
-        """The policy, which writes the values, and a module that draws an action by them."""
+        """The policy, which writes the values, and a module that draws an action from them."""
         from tensordict.nn import TensorDictSequential
 
         from bbq_torchrl.exploration import Boltzmann
@@ -153,15 +149,13 @@ class Thompson(ExploreOption):
     """Draw weights from the posterior and act greedily on them."""
 
     name: str = option("thompson")
-    per: str = setting(
-        "step", one_of("step", "episode", "round"), "how long one draw of the weights is kept"
-    )
-    shared: bool = setting(False, BOOLEAN, "one draw for all dialogues that run side by side")
+    per: str = setting("step", one_of("step", "episode", "round"), "duration of a weight draw")
+    shared: bool = setting(False, BOOLEAN, "one draw for all parallel dialogues")
 
     needs: ClassVar[tuple[str, ...]] = ("posterior",)
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
-        """The module that draws."""
+        """The module that draws weights."""
         from bbq_torchrl.exploration import ThompsonSampling
 
         return ThompsonSampling(actor, per=self.per, shared=self.shared), {}  # type: ignore[arg-type]
@@ -170,7 +164,7 @@ class Thompson(ExploreOption):
 @register
 @dataclass
 class ThompsonEpsilon(EpsilonGreedy, Thompson):
-    """Thompson sampling, and with probability epsilon a uniformly random legal action."""
+    """Thompson sampling, or with probability epsilon a uniformly random legal action."""
 
     name: str = option("thompson_epsilon")
 
@@ -185,7 +179,7 @@ class ThompsonEpsilon(EpsilonGreedy, Thompson):
 @register
 @dataclass
 class ThompsonBoltzmann(BoltzmannActing, Thompson):
-    """Actions drawn from softmax(Q / temperature) of a weight draw, not from its best one."""
+    """Actions drawn from softmax(Q / temperature) of a weight draw."""
 
     name: str = option("thompson_boltzmann")
     temperature_end: Values = other_default(BoltzmannActing, "temperature_end", 0.05)
@@ -193,7 +187,7 @@ class ThompsonBoltzmann(BoltzmannActing, Thompson):
     needs: ClassVar[tuple[str, ...]] = Thompson.needs
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
-        """The module that draws weights, followed by one that draws an action by its values."""
+        """The module that draws weights, followed by one that draws an action from its values."""
         policy, _ = Thompson.make(self, actor, greedy, task)
         return BoltzmannActing.make(self, actor, policy, task)
 
@@ -204,14 +198,12 @@ class BootstrapActing(ExploreOption):
     """Act greedily on one of the heads, drawn for every dialogue."""
 
     name: str = option("bootstrap")
-    per: str = setting(
-        "episode", one_of("step", "episode", "round"), "how long one draw of a head is kept"
-    )
+    per: str = setting("episode", one_of("step", "episode", "round"), "duration of a head draw")
 
     needs: ClassVar[tuple[str, ...]] = ("heads",)
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
-        """The module that draws."""
+        """The module that draws a head."""
         from bbq_torchrl.exploration import BootstrapSampling
 
         return BootstrapSampling(actor, per=self.per), {}  # type: ignore[arg-type]
@@ -220,15 +212,15 @@ class BootstrapActing(ExploreOption):
 @register
 @dataclass
 class NoisyActing(ExploreOption):
-    """Act greedily on one draw of the NoisyNet's noise a step."""
+    """Act greedily on a draw of the NoisyNet's noise in each step."""
 
     name: str = option("noisy")
-    shared: bool = setting(False, BOOLEAN, "one draw for all dialogues that run side by side")
+    shared: bool = setting(False, BOOLEAN, "one draw for all parallel dialogues")
 
     needs: ClassVar[tuple[str, ...]] = ("noise",)
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
-        """The module that draws."""
+        """The module that draws noise."""
         from bbq_torchrl.exploration import NoisySampling
 
         return NoisySampling(actor, shared=self.shared), {}

@@ -1,4 +1,4 @@
-"""The options of ``intrinsic=``: a reward besides the task's."""
+"""The options of ``intrinsic=``: a reward in addition to the task's."""
 
 from __future__ import annotations
 
@@ -30,18 +30,18 @@ if TYPE_CHECKING:
 
 @dataclass
 class IntrinsicOption(Option):
-    """A reward besides the task's; never part of a reported reward."""
+    """A reward in addition to the task's; reported rewards never include it."""
 
     group: ClassVar[str] = "intrinsic"
 
     def make(self, loss: LossModule, task: Task) -> tuple[nn.Module, list[Transform]]:
-        """Returns the loss to train, and the transforms of the replay buffer that it needs.
+        """Returns the loss to train, and transforms of the replay buffer.
 
-        Several losses are an ``nn.ModuleDict``, the agent's first.
+        Several losses are an ``nn.ModuleDict``, with the agent's first.
 
         Args:
-            loss: the agent's.
-            task: what a model of the task has to fit.
+            loss: the agent's loss.
+            task: the task, for the sizes of a model.
         """
         return loss, []
 
@@ -57,7 +57,7 @@ class NoIntrinsic(IntrinsicOption):
 @register
 @dataclass
 class Count(IntrinsicOption):
-    """A bonus of eta / sqrt(n) for a state whose kind was stored n times."""
+    """A bonus of eta / sqrt(n) for a kind of state stored n times."""
 
     name: str = option("count")
     eta: Values = setting(
@@ -65,7 +65,7 @@ class Count(IntrinsicOption):
     )
 
     def make(self, loss: LossModule, task: Task) -> tuple[nn.Module, list[Transform]]:
-        """Adds the transform that counts and gives the bonus."""
+        """Adds the transform that counts states and adds the bonus."""
         from bbq_torchrl.data import CountReward
 
         features = task.inputs if task.counted_inputs is None else task.counted_inputs
@@ -76,7 +76,7 @@ class Count(IntrinsicOption):
 @register
 @dataclass
 class VIME(IntrinsicOption):
-    """A reward for what a transition teaches a Bayesian model of the dynamics (VIME)."""
+    """VIME: a reward for a transition's information gain about a Bayesian dynamics model."""
 
     name: str = option("vime")
     eta: Values = setting(
@@ -85,18 +85,18 @@ class VIME(IntrinsicOption):
         "factor of the normalized information gain, in units of reward",
     )
     weights: str = setting(
-        "map", one_of("map", "mc"), "information gain at the mean weights, or at one draw"
+        "map", one_of("map", "mc"), "information gain at the mean weights, or at a weight draw"
     )
     hidden: list[int] = setting([64, 64], COUNTS, "units of each hidden layer of the dynamics")
     prior_std: float = setting(0.1, POSITIVE, "std of the prior of the dynamics' weights")
     noise_std: float = setting(1.0, POSITIVE, "std of the standardized next state")
-    std_floor: float = setting(0.05, POSITIVE, "least std that a feature is divided by")
-    step_size: float = setting(0.01, POSITIVE, "size of the second-order step that gains")
-    clip: float = setting(10.0, POSITIVE, "greatest normalized information gain")
-    median_window: int = setting(
-        10, integers(1, 10**6), "rounds that the normalizing median is taken over"
+    std_floor: float = setting(0.05, POSITIVE, "lower bound of the std that divides a feature")
+    step_size: float = setting(
+        0.01, POSITIVE, "size of the second-order step whose information gain is measured"
     )
-    dynamics_every: int = setting(8, COUNT, "updates of Q for one of the dynamics")
+    clip: float = setting(10.0, POSITIVE, "upper bound of the normalized information gain")
+    median_window: int = setting(10, integers(1, 10**6), "rounds of the normalizing median")
+    dynamics_every: int = setting(8, COUNT, "updates of Q for each update of the dynamics")
 
     def make(self, loss: LossModule, task: Task) -> tuple[nn.Module, list[Transform]]:
         """Adds the loss of the dynamics, and the transform that adds the bonus to the rewards."""
@@ -116,7 +116,7 @@ class VIME(IntrinsicOption):
             device=task.device,
         )
         if task.inactive_inputs is not None and task.inactive_actions is not None:
-            # Of the outputs none: that a feature stays as it is can be learned before it appears.
+            # The outputs are not reset: that a feature is constant can be learned beforehand.
             inactive = torch.cat([task.inactive_inputs, task.inactive_actions])
             reset_inactive_(dynamics.network, inputs=inactive)
         reward = VIMEReward(

@@ -1,11 +1,10 @@
 """The options of ``logger=``: destinations of metrics besides metrics.csv.
 
-A logger gets the configuration, a row each round and the final result, and is closed when the run
-ends, however it ends: the next run of the process begins with a new one.
+A logger receives the configuration, a row for each round and the final result. It is closed at the
+end of the run, also after an error; the next run in the process makes a new one.
 
-A resumed run plays the rounds since its last checkpoint again, and logs them again: TensorBoard
-shows such a round twice, W&B continues the same run, and MLflow begins a new run in the same
-experiment.
+A resumed run repeats the rounds since its last checkpoint and logs them again. TensorBoard shows
+such a round twice, W&B continues the same run, and MLflow starts a new run in the same experiment.
 """
 
 from __future__ import annotations
@@ -38,23 +37,23 @@ class LoggerOption(Option):
     group: ClassVar[str] = "logger"
 
     package: ClassVar[str] = ""
-    """The package to install, for ours also the extra that installs it; empty: none."""
+    """The package that the logger needs; for ours also the name of its extra. May be empty."""
 
     @abstractmethod
     def make(self, run_folder: Path, *, resume: bool = False) -> list[Logger]:
-        """Makes TorchRL's loggers of a run.
+        """Makes the TorchRL loggers of a run.
 
         Args:
-            run_folder: where they write.
-            resume: whether the run continues that of an earlier process.
+            run_folder: their output folder.
+            resume: whether the run continues one of an earlier process.
         """
 
     def log_config(self, loggers: Iterable[Logger], config: Mapping[str, Any]) -> None:
-        """Hands the configuration to the loggers, before the first round.
+        """Logs the configuration, before the first round.
 
         Args:
-            loggers: those of :meth:`make`.
-            config: value by dotted key, such as ``agent.lr``.
+            loggers: the loggers of :meth:`make`.
+            config: values by dotted key, such as ``agent.lr``.
         """
         for logger in loggers:
             logger.log_hparams(dict(config))
@@ -62,31 +61,31 @@ class LoggerOption(Option):
     def log_result(
         self, loggers: Iterable[Logger], result: Mapping[str, float], *, rounds: int
     ) -> None:
-        """Hands the final result to the loggers.
+        """Logs the final result.
 
         Args:
-            loggers: those of :meth:`make`.
+            loggers: the loggers of :meth:`make`.
             result: the numbers of ``result.json``, such as ``result/success_rate``.
-            rounds: rounds of the training, the step that the result is logged at.
+            rounds: rounds of the training, which is the step of the result.
         """
         for logger in loggers:
             logger.log_metrics(dict(result), step=rounds)
 
     def close(self, loggers: Iterable[Logger], *, finished: bool) -> None:
-        """Ends the loggers. Called once for each run, after an error too.
+        """Closes the loggers. Called once for each run, also after an error.
 
         Args:
-            loggers: those of :meth:`make`.
-            finished: whether the run came to its result.
+            loggers: the loggers of :meth:`make`.
+            finished: whether the run has a result.
         """
         for logger in loggers:
             logger.close()
 
     def check_ready(self) -> None:
-        """Refuses a logger that cannot be used here, before anything runs.
+        """Refuses a logger that cannot be used on this machine, before anything runs.
 
         Raises:
-            ConfigError: the package is missing; the error says how to install it.
+            ConfigError: the package is missing; the message has the command that installs it.
         """
         if self.package and importlib.util.find_spec(self.package) is None:
             is_ours = type(self).__module__ == __name__
@@ -102,7 +101,7 @@ class CSV(LoggerOption):
     name: str = option("csv")
 
     def make(self, run_folder: Path, *, resume: bool = False) -> list[Logger]:
-        """Makes none: metrics.csv is written whatever the logger."""
+        """Makes no logger: metrics.csv is always written."""
         return []
 
 
@@ -118,7 +117,7 @@ class TensorBoard(LoggerOption):
         """Makes a logger that writes ``tensorboard/``.
 
         Raises:
-            ConfigError: the folder has a name that TensorBoard would take for another one.
+            ConfigError: the folder's name is not UTF-8, which TensorBoard would misread.
         """
         from torchrl.record.loggers.tensorboard import TensorboardLogger
 
@@ -132,14 +131,14 @@ class TensorBoard(LoggerOption):
         return [TensorboardLogger("tensorboard", str(folder))]
 
     def log_config(self, loggers: Iterable[Logger], config: Mapping[str, Any]) -> None:
-        """Adds the configuration as a text; as hyper-parameters it would be another run."""
+        """Logs the configuration as a text; as hyper-parameters it would be a separate run."""
         text = "\n".join(f"    {key}: {value}" for key, value in config.items())
         for logger in loggers:
             logger.experiment.add_text("config", text)
 
 
 _HOST = "https://api.wandb.ai"
-"""W&B's own server, whose key W&B takes for the other names of it."""
+"""W&B's default server, whose key W&B also uses for its aliases."""
 
 
 @register
@@ -148,11 +147,11 @@ class WandB(LoggerOption):
     """Weights & Biases."""
 
     name: str = option("wandb")
-    project: str = setting("bbq-torchrl", ANY_TEXT, "project that the run is listed under")
+    project: str = setting("bbq-torchrl", ANY_TEXT, "project of the run")
     package: ClassVar[str] = "wandb"
 
     def make(self, run_folder: Path, *, resume: bool = False) -> list[Logger]:
-        """Makes a logger that writes ``wandb/``, with the id by which a resumed run is the same."""
+        """Makes a logger that writes ``wandb/`` and the run's id, which a resumed run reuses."""
         import wandb
         from torchrl.record.loggers.wandb import WandbLogger
 
@@ -169,7 +168,7 @@ class WandB(LoggerOption):
                 folder.name,
                 log_dir=str(folder),
                 project=self.project,
-                log_env_packages=False,  # its key would be "env", and our environment has those
+                log_env_packages=False,  # it would use the key "env", which our configuration has
                 **same,
             )
         except wandb.Error as error:
@@ -180,27 +179,27 @@ class WandB(LoggerOption):
     def log_result(
         self, loggers: Iterable[Logger], result: Mapping[str, float], *, rounds: int
     ) -> None:
-        """Puts the final result into the summary: the history has a row each round."""
+        """Adds the final result to the summary; the history has the rounds."""
         for logger in loggers:
             logger.experiment.summary.update(dict(result))
 
     def close(self, loggers: Iterable[Logger], *, finished: bool) -> None:
-        """Ends W&B's run, as failed unless it came to its result."""
+        """Ends W&B's run, as failed if it has no result."""
         for logger in loggers:
             logger.experiment.finish(exit_code=int(not finished))
 
     def check_ready(self) -> None:
-        """Refuses W&B without its package, and without a key unless it is offline."""
+        """Refuses W&B without its package, or without a key unless it is offline."""
         super().check_ready()
         import wandb
         from requests.utils import get_netrc_auth  # comes with wandb
 
         if wandb.run is not None:
-            return  # W&B has begun a run already, which teardown would end
+            return  # W&B has started a run already, which teardown would end
         try:
             settings = wandb.setup().settings
         finally:
-            wandb.teardown()  # jobs on other machines must not look for the service of this one
+            wandb.teardown()  # jobs on other machines must not use the service of this one
         is_offline = settings.mode in ("offline", "dryrun", "disabled")
         given = settings.api_key or os.environ.get("WANDB_IDENTITY_TOKEN_FILE")
         if not (is_offline or given or any(map(get_netrc_auth, (settings.base_url, _HOST)))):
@@ -211,10 +210,10 @@ class WandB(LoggerOption):
 
 
 _ADDRESS = "MLFLOW_TRACKING_URI"
-"""MLflow's variable for the address of a server or of a database, which MLflow itself sets too."""
+"""MLflow's variable for the address of a server or database; MLflow also sets it."""
 
 _POOL = "MLFLOW_SQLALCHEMYSTORE_POOLCLASS"
-"""MLflow's variable for what keeps connections to a database open."""
+"""MLflow's variable for the class that pools connections to a database."""
 
 
 @register
@@ -223,11 +222,11 @@ class MLFlow(LoggerOption):
     """MLflow, at MLFLOW_TRACKING_URI or in a database in the run folder."""
 
     name: str = option("mlflow")
-    experiment: str = setting("bbq-torchrl", ANY_TEXT, "experiment that the run is listed under")
+    experiment: str = setting("bbq-torchrl", ANY_TEXT, "experiment of the run")
     package: ClassVar[str] = "mlflow"
 
     def make(self, run_folder: Path, *, resume: bool = False) -> list[Logger]:
-        """Begins a run, in ``mlflow.db`` unless the environment has another address."""
+        """Starts a run, in ``mlflow.db`` unless the environment has another address."""
         import mlflow
         from torchrl.record.loggers.mlflow import MLFlowLogger
 
@@ -236,24 +235,24 @@ class MLFlow(LoggerOption):
         given = os.environ.get(_ADDRESS)
         with _unchanged(_ADDRESS, _POOL):
             if not given:
-                os.environ[_POOL] = "NullPool"  # else the database stays open after the run
+                os.environ[_POOL] = "NullPool"  # otherwise the database stays open after the run
             logger = MLFlowLogger(self.experiment, given or sqlite_url(folder / "mlflow.db"))
         mlflow.set_tag("mlflow.runName", folder.name)
         return [logger]
 
     def close(self, loggers: Iterable[Logger], *, finished: bool) -> None:
-        """Ends MLflow's run, and leaves MLflow as it was found."""
+        """Ends MLflow's run, and restores MLflow's address."""
         import mlflow
 
         mlflow.end_run("FINISHED" if finished else "FAILED")
         if not os.environ.get(_ADDRESS):
-            nothing: Any = None  # which MLflow takes, though it does not say so
-            mlflow.set_tracking_uri(nothing)
+            default: Any = None  # accepted by MLflow, but not by its type hints
+            mlflow.set_tracking_uri(default)
 
 
 @contextmanager
 def _unchanged(*names: str) -> Iterator[None]:
-    """Restores variables of the environment, which the next run of the process reads."""
+    """Restores environment variables, which the next run in the process reads."""
     before = {name: os.environ.get(name) for name in names}
     try:
         yield

@@ -1,4 +1,4 @@
-"""The options of ``protocol=``: the length and the steps of training and evaluation."""
+"""The options of ``protocol=``: the schedule of training and evaluation."""
 
 from __future__ import annotations
 
@@ -26,45 +26,45 @@ STORED = integers(1, 10**6)  # transitions, or outcomes of dialogues, of a repli
 
 @dataclass
 class ProtocolOption(Option):
-    """The length and the steps of an agent's training and evaluation."""
+    """The schedule of an agent's training and evaluation."""
 
     group: ClassVar[str] = "protocol"
 
     rounds: int = setting("${env.paper_rounds}", COUNT, "rounds of training")
     dialogues: int = setting(50, BATCH, "dialogues of a round and replica")
     batch_size: int = setting(32, BATCH, "transitions of an update")
-    lr: float = setting(1e-3, STEP_SIZE, "step size of Adam, for batches of this size")
+    lr: float = setting(1e-3, STEP_SIZE, "learning rate of Adam, for batches of this size")
     lr_final: float = setting(
-        1.0, PROBABILITY, "share of every step size left in the last round; 1: it stays"
+        1.0, PROBABILITY, "factor on learning rates in the last round; 1: they stay constant"
     )
     lr_decay_from: float = setting(
-        0.5, PROBABILITY, "share of the rounds after which step sizes fall, linearly, to lr_final"
+        0.5, PROBABILITY, "share of the rounds after which learning rates fall linearly to lr_final"
     )
     freezes: int = setting(2, COUNT, "target freezes of a round")
     epochs: int = setting(2, COUNT, "passes over the buffer after each freeze")
     updates_per_round: int | None = setting(
         None,
         optional(COUNT, "as many as the epochs have"),
-        "updates of every round and replica, in place of the epochs",
+        "updates of every round and replica, instead of epochs",
     )
-    capacity: int = setting(10_000, STORED, "transitions a replica's buffer holds")
-    eval_dialogues: int = setting(10_000, STORED, "dialogues of the final evaluation of a replica")
-    eval_batch: int = setting(2_500, BATCH, "evaluation dialogues of all replicas side by side")
+    capacity: int = setting(10_000, STORED, "capacity of a replica's buffer in transitions")
+    eval_dialogues: int = setting(10_000, STORED, "dialogues of a replica's final evaluation")
+    eval_batch: int = setting(2_500, BATCH, "parallel evaluation dialogues of all replicas")
     eval_every: int = setting(
-        5, NON_NEGATIVE_INTEGER, "rounds between two evaluations while training; 0: never"
+        5, NON_NEGATIVE_INTEGER, "rounds between two evaluations during training; 0: never"
     )
     eval_every_dialogues: int = setting(
-        400, STORED, "dialogues of an evaluation while training, of a replica"
+        400, STORED, "dialogues of a replica in an evaluation during training"
     )
     checkpoint_every: int = setting(10, COUNT, "rounds between two checkpoints")
     keep_checkpoints: str = setting(
         "weights",
         one_of("all", "last", "weights"),
-        "every checkpoint, the last two, or after the end nothing but the weights",
+        "keep every checkpoint, the last two, or, once the run has finished, only the weights",
     )
 
     def lr_share(self, round_number: int) -> float:
-        """Returns the share of every step size that a round, counted from 0, learns with.
+        """Returns the factor on learning rates in a round, counted from 0.
 
         Examples:
             >>> protocol = ProtocolOption(rounds=8, lr_final=0.2, lr_decay_from=0.5)
@@ -76,9 +76,9 @@ class ProtocolOption(Option):
         return 1.0 if since <= 0 else 1.0 - (1.0 - self.lr_final) * since / (self.rounds - start)
 
     def places(self, dialogues: int, replicas: int) -> int:
-        """Returns how many of a replica's evaluation dialogues are played side by side.
+        """Returns the number of a replica's parallel evaluation dialogues.
 
-        A rollout holds every turn's observations: of 12,500 dialogues they fill two gigabytes.
+        A rollout contains the observations of every turn; of 12,500 dialogues they take 2 GB.
         """
         return min(dialogues, max(1, self.eval_batch // replicas))
 
@@ -90,11 +90,10 @@ class ProtocolOption(Option):
                 f"got {self.capacity}"
             )
         if self.updates_per_round is not None:
-            own = f"with protocol.updates_per_round={self.updates_per_round}"
             if self.epochs != type(self).epochs:
                 raise ConfigError(
-                    f"protocol.epochs must be {type(self).epochs} {own}, which takes its place, "
-                    f"got {self.epochs}"
+                    f"protocol.epochs must be {type(self).epochs} with protocol.updates_per_round="
+                    f"{self.updates_per_round}, which takes its place, got {self.epochs}"
                 )
             if self.updates_per_round < self.freezes:
                 raise ConfigError(
@@ -104,13 +103,13 @@ class ProtocolOption(Option):
         if self.lr_final == 1 and self.lr_decay_from != type(self).lr_decay_from:
             raise ConfigError(
                 f"protocol.lr_decay_from must be {type(self).lr_decay_from} with "
-                f"protocol.lr_final={self.lr_final}, where step sizes stay, got "
+                f"protocol.lr_final={self.lr_final}, which keeps learning rates constant, got "
                 f"{self.lr_decay_from}"
             )
         if self.lr_final != 1 and self.lr_decay_from == 1:
             raise ConfigError(
                 f"protocol.lr_decay_from must be below 1 with protocol.lr_final={self.lr_final}: "
-                "no round would be left in which step sizes fall"
+                "no round would be left in which learning rates fall"
             )
 
 
@@ -125,7 +124,7 @@ class PaperProtocol(ProtocolOption):
 @register
 @dataclass
 class QuickProtocol(ProtocolOption):
-    """A minute on one core: fewer rounds, larger batches, a smaller buffer; it learns to book."""
+    """A minute on one core: fewer rounds, larger batches and a smaller buffer."""
 
     name: str = option("quick")
     rounds: int = other_default(ProtocolOption, "rounds", 40)

@@ -1,6 +1,6 @@
-"""The options: ours, those of installed packages, and those of a folder of files.
+"""The registry of options: ours, those of installed packages, and those of a folder of files.
 
-All enter by the same door, :func:`register`.
+All are registered by :func:`register`.
 """
 
 from __future__ import annotations
@@ -23,39 +23,39 @@ if TYPE_CHECKING:
 
 
 ENTRY_POINTS = "bbq_torchrl.options"
-"""The group of entry points by which an installed package offers options: each a module."""
+"""The entry-point group of packages with options; each entry point is a module."""
 
 FOLDER_VARIABLE = "BBQ_TORCHRL_OPTIONS"
-"""The environment variable that hands a folder of options on to the workers of a sweep."""
+"""The environment variable that passes a folder of options to the workers of a sweep."""
 
 EXPERIMENT = "experiment"
-"""The group without options: files that fix options and keys of the others, added by a plus."""
+"""The group without options: its files set options and keys of other groups (``+experiment=``)."""
 
 GROUPS = ("agent", "explore", "intrinsic", "env", "domain", "spike", "protocol", "logger")
-"""The groups, in the order that help and documentation have."""
+"""The groups, in the order of help and documentation."""
 
 
 @dataclass
 class Option(ABC):
-    """One choice of a group of the configuration: a dataclass, ours or anybody's.
+    """A choice of a configuration group, as a dataclass.
 
     Its fields are keys with default, bounds and meaning
-    (:func:`~bbq_torchrl.options.settings.setting`); its field ``name``
-    (:func:`~bbq_torchrl.options.settings.option`) is the name by which it is chosen. Importing an
-    option does not import torch: making it does.
+    (:func:`~bbq_torchrl.options.settings.setting`). The field ``name``
+    (:func:`~bbq_torchrl.options.settings.option`) has its name on the command line. Importing an
+    option does not import torch; making it does.
 
     Attributes:
-        group: the group that it belongs to; set by the base class of the group.
+        group: the group, set by the group's base class.
     """
 
     name: str = REQUIRED
 
     group: ClassVar[str]
 
-    def check(self) -> None:  # noqa: B027 (most have nothing to refuse)
-        """Refuses values that contradict each other; each value alone has been checked by then.
+    def check(self) -> None:  # noqa: B027 (most options have nothing to refuse)
+        """Refuses values that contradict each other; single values have been checked before.
 
-        What two options must agree on is in :mod:`bbq_torchrl.options.agreements`.
+        :mod:`bbq_torchrl.options.agreements` checks what two options must agree on.
 
         Raises:
             ConfigError: one sentence that names the key, its value and what is allowed.
@@ -71,15 +71,15 @@ Registered = TypeVar("Registered", bound="type[Option]")
 
 
 def register(option: Registered) -> Registered:
-    """Makes a dataclass an option of its group; a decorator.
+    """Registers a dataclass as an option of its group; a decorator.
 
-    The group is that of the base class (:class:`~bbq_torchrl.options.AgentOption`, ...), the
-    name is the default of the field ``name``.
+    The base class (:class:`~bbq_torchrl.options.AgentOption`, ...) has the group, the default of
+    the field ``name`` is the name.
 
     Raises:
-        TypeError: a class that is no dataclass of a group, lacks a method that its group asks for,
-            has a field that was not declared by :func:`~bbq_torchrl.options.settings.setting`, or
-            the name of another class.
+        TypeError: the class is not a dataclass of a group, lacks a required method, has a field
+            that is not declared by :func:`~bbq_torchrl.options.settings.setting`, or has the name
+            of another option.
     """
     group, name = _group(option), _name(option)
     for item in fields(option):
@@ -90,7 +90,7 @@ def register(option: Registered) -> Registered:
             )
     if option.__abstractmethods__:
         raise TypeError(
-            f"{option.__qualname__} must have the methods that {group}= asks for; it lacks "
+            f"{option.__qualname__} must have the methods that {group}= requires; it lacks "
             f"{', '.join(sorted(option.__abstractmethods__))}"
         )
     other = _OPTIONS[group].get(name)
@@ -101,10 +101,10 @@ def register(option: Registered) -> Registered:
 
 
 def schemas() -> Mapping[str, Mapping[str, type[Option]]]:
-    """Returns group -> name -> option; finds those of installed packages at the first call.
+    """Returns group -> name -> option. The first call imports options of installed packages.
 
     Raises:
-        ConfigError: a package or file of options that cannot be imported.
+        ConfigError: a package or file of options cannot be imported.
     """
     if ENTRY_POINTS not in _loaded:
         for group in GROUPS:
@@ -125,22 +125,22 @@ def schemas() -> Mapping[str, Mapping[str, type[Option]]]:
 
 
 def load_folder(folder: Path | str, given_by: str = "--config-dir") -> None:
-    """Imports the Python files of a folder, which register their options.
+    """Imports the Python files of a folder, which register options.
 
-    The folder is put in front of the module path, so that a sweep's workers find them too.
+    The folder is put in front of the module path, so that the workers of a sweep find them too.
 
     Args:
-        folder: where they are.
-        given_by: the argument that named it, for the message.
+        folder: the folder.
+        given_by: the argument with the folder, for messages.
 
     Raises:
-        ConfigError: no such folder, a file that cannot be imported, or one that has the name of an
-            option or a file of ours.
+        ConfigError: the folder is missing, a file cannot be imported, or a file has the name of an
+            option or file of ours.
     """
     given, folder = str(folder), Path(expanduser(folder)).resolve()
     if not folder.is_dir():
         raise ConfigError(f"{given_by} must be a folder, got {shown(given)}")
-    schemas()  # ours first: of two options of one name the folder's is refused
+    schemas()  # ours first: of two options with one name the folder's is refused
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))
     for file in sorted(folder.glob("*.py")):
@@ -157,14 +157,14 @@ def load_folder(folder: Path | str, given_by: str = "--config-dir") -> None:
     for group in sorted({*GROUPS, *(place.name for place in ours.iterdir() if place.is_dir())}):
         for file in sorted((folder / group).rglob("*.yaml")):
             name = file.relative_to(folder / group).with_suffix("").as_posix()
-            # Hydra would take ours without a word, or fail to merge the two.
+            # Hydra would silently use ours, or fail to merge the two.
             if name in _OPTIONS.get(group, ()) or (ours / group / f"{name}.yaml").is_file():
-                raise ConfigError(f"{file} must have another name: {group}={name} is there already")
+                raise ConfigError(f"{file} must have another name: {group}={name} exists already")
     os.environ[FOLDER_VARIABLE] = str(folder)
 
 
 def options_folder() -> Path | None:
-    """The folder whose files :func:`load_folder` imported, here or in the process that began."""
+    """The folder of :func:`load_folder`, called in this process or a parent."""
     folder = os.environ.get(FOLDER_VARIABLE)
     return None if folder is None else Path(folder)
 
@@ -173,24 +173,24 @@ def conf_folder() -> Path:
     """The folder of the YAML files: ``bbq_torchrl/conf`` in a wheel, else ``conf`` next to it.
 
     Raises:
-        FileNotFoundError: neither is there.
+        FileNotFoundError: neither exists.
     """
     for folder in (_PACKAGE / "conf", _PACKAGE.parent / "conf"):
         if (folder / "config.yaml").is_file():
             return folder
-    raise FileNotFoundError(f"no configuration folder 'conf' in {_PACKAGE} or beside it")
+    raise FileNotFoundError(f"no configuration folder 'conf' in {_PACKAGE} or next to it")
 
 
 def config_folders() -> list[Path]:
-    """The folders of YAML files: ours, and that of ``--config-dir`` if one is given."""
-    own = options_folder()
-    return [conf_folder()] if own is None else [conf_folder(), own]
+    """The folders of YAML files: ours, and that of ``--config-dir`` if given."""
+    given = options_folder()
+    return [conf_folder()] if given is None else [conf_folder(), given]
 
 
 def options(group: str) -> list[str]:
     """The options of a configuration group, such as ``["bbqn", "dqn"]`` for ``agent``.
 
-    Those of ``experiment`` are files; one in a subfolder is named with it: ``agents/vime``.
+    Those of ``experiment`` are files, named with their subfolder: ``agents/vime``.
     """
     names = set(schemas().get(group, {}))
     for root in config_folders():
@@ -200,33 +200,33 @@ def options(group: str) -> list[str]:
 
 
 def explorations() -> dict[str, tuple[str, ...]]:
-    """Returns for each agent the strategies that it can use, its own first.
+    """Returns the strategies that each agent can use, its default first.
 
-    An agent can use a strategy if it offers all that the strategy needs.
+    An agent can use a strategy if it offers everything that the strategy needs.
 
     Raises:
-        ConfigError: an agent that cannot use the strategy that it names as its own.
+        ConfigError: an agent cannot use its default strategy.
     """
     known = schemas()
     found = {}
     for name, agent in known["agent"].items():
-        own = agent.explores_by  # type: ignore[attr-defined]
+        default = agent.explores_by  # type: ignore[attr-defined]
         able = [
             other
             for other, explore in known["explore"].items()
             if set(explore.needs) <= set(agent.offers)  # type: ignore[attr-defined]
         ]
-        if own not in able:
+        if default not in able:
             raise ConfigError(
                 f"{_where(agent)}.explores_by must be one of {', '.join(able)}, which need only "
-                f"what the agent offers, got {own!r}"
+                f"what the agent offers, got {default!r}"
             )
-        found[name] = tuple(sorted(able, key=lambda other: other != own))
+        found[name] = (default, *(other for other in able if other != default))
     return found
 
 
 def _group(option: type[Option]) -> str:
-    if "__dataclass_fields__" not in vars(option):  # is_dataclass finds those of a base class, too
+    if "__dataclass_fields__" not in vars(option):  # is_dataclass also accepts a base class's
         raise TypeError(
             f"an option must be a dataclass, with @register above @dataclass, got {option!r}"
         )

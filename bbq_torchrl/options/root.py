@@ -1,4 +1,4 @@
-"""The roots of the configuration: a training, an evaluation, a calibration."""
+"""The root schemas of the configurations: training, evaluation and calibration."""
 
 from __future__ import annotations
 
@@ -50,12 +50,12 @@ class Config:
     spike: SpikeOption = REQUIRED  # type: ignore[assignment]
     protocol: ProtocolOption = REQUIRED  # type: ignore[assignment]
     logger: LoggerOption = REQUIRED  # type: ignore[assignment]
-    replicas: int = setting(1, SIZE, "independent seeds trained side by side")
-    seed: int = setting(0, SEED, "seed that all random numbers derive from")
-    device: str = setting("cpu", DEVICE, "where tensors live")
+    replicas: int = setting(1, SIZE, "independent seeds trained in parallel")
+    seed: int = setting(0, SEED, "seed of all random numbers")
+    device: str = setting("cpu", DEVICE, "device of all tensors")
     threads: int = setting(1, THREADS, "CPU threads of torch")
     resume: str | None = setting(
-        None, optional(ANY_TEXT, "a new run"), "run folder of the run to go on with"
+        None, optional(ANY_TEXT, "a new run"), "run folder of the run to continue"
     )
 
 
@@ -68,26 +68,26 @@ class EvaluateConfig:
     policy: str = setting(
         REQUIRED,
         ANY_TEXT,
-        "random, a scripted policy of the domain (rule, ...), the privileged clairvoyant, a run, "
-        "or shipped:<name>",
+        "random, a scripted policy of the domain (rule, ...), the privileged clairvoyant, a run "
+        "folder, or shipped:<name>",
     )
-    dialogues: int = setting(10_000, PLAYED, "dialogues played; for each replica of a run folder")
-    batch: int = setting(2_500, BATCH, "dialogues that run side by side")
+    dialogues: int = setting(10_000, PLAYED, "dialogues played, by each replica of a run folder")
+    batch: int = setting(2_500, BATCH, "dialogues played in parallel")
     mode: str | None = setting(
         None,
-        optional(ANY_TEXT, "the agent's own"),
-        "policy of an agent that has several, as bbqn: mean network, average of draws, one draw, "
-        "or thompson, new draws at every step",
+        optional(ANY_TEXT, "the agent's default"),
+        "policy of an agent with several, such as bbqn: mean network, average of draws, one draw, "
+        "or thompson, a new draw at every step",
     )
     weights: str = setting(
         "last",
         one_of("last", "best"),
-        "a run's weights: the newest, or each replica's at its best evaluation while training",
+        "a run's weights: the latest, or each replica's at its best evaluation during training",
     )
     log: str | None = setting(None, optional(ANY_TEXT, "none"), "file for readable dialogues")
     log_dialogues: int = setting(10, COUNT, "dialogues written to log")
-    seed: int = setting(0, SEED, "seed that all random numbers derive from")
-    device: str = setting("cpu", DEVICE, "where tensors live")
+    seed: int = setting(0, SEED, "seed of all random numbers")
+    device: str = setting("cpu", DEVICE, "device of all tensors")
     threads: int = setting(1, THREADS, "CPU threads of torch")
 
 
@@ -98,9 +98,9 @@ class CalibrateConfig:
     env: EnvOption = REQUIRED  # type: ignore[assignment]
     domain: DomainOption = REQUIRED  # type: ignore[assignment]
     policy: str = setting("rule", ANY_TEXT, "scripted policy of the domain")
-    success: float = setting(0.183, PROBABILITY, "success rate that the policy is to have")
+    success: float = setting(0.183, PROBABILITY, "success rate to calibrate for")
     dialogues: int = setting(100_000, PLAYED, "dialogues played for each probability tried")
-    batch: int = setting(2_500, BATCH, "dialogues that run side by side")
-    seed: int = setting(0, SEED, "seed that all random numbers derive from")
-    device: str = setting("cpu", DEVICE, "where tensors live")
+    batch: int = setting(2_500, BATCH, "dialogues played in parallel")
+    seed: int = setting(0, SEED, "seed of all random numbers")
+    device: str = setting("cpu", DEVICE, "device of all tensors")
     threads: int = setting(1, THREADS, "CPU threads of torch")

@@ -1,12 +1,11 @@
-"""One configuration key: its default, its allowed values, and its meaning.
+"""Configuration keys: default, allowed values and meaning, declared once.
 
-A field of an option is declared once with all three::
+::
 
-    lr: float = setting(1e-3, STEP_SIZE, "step size of Adam")
+    lr: float = setting(1e-3, STEP_SIZE, "learning rate of Adam")
 
-OmegaConf checks the type, :func:`check_settings` the value; both refusals are one sentence that
-names the key, what is allowed and what was given. The bounds are those of
-:mod:`bbq_torchrl.checks`.
+OmegaConf checks the type, :func:`check_settings` the value. Both refuse in one sentence that names
+the key, what is allowed and what was given. The bounds are those of :mod:`bbq_torchrl.checks`.
 """
 
 from __future__ import annotations
@@ -92,26 +91,26 @@ if TYPE_CHECKING:
 
     Values = float | list[float]
 else:
-    # OmegaConf has no union with a list; what a key allows checks these instead.
+    # OmegaConf has no union with a list, so the key's allowed values check the type.
     Values = Any
 
 Schema = TypeVar("Schema")
 
 REQUIRED = "???"
-"""OmegaConf's mark for a value that somebody has to give."""
+"""OmegaConf's mark of a required value."""
 
 
 class ConfigError(ValueError):
-    """A configuration that cannot be run; one sentence for the person who wrote it."""
+    """An invalid configuration, explained in one sentence."""
 
 
 def setting(default: Any, allowed: Allowed, meaning: str) -> Any:
     """A dataclass field with a default, the values it may take, and its meaning.
 
     Args:
-        default: the value where nobody chooses one; lists are copied for each instance.
-        allowed: the values that pass :func:`check_settings`.
-        meaning: what the key does, with its unit.
+        default: the default value; lists are copied for each instance.
+        allowed: the values that :func:`check_settings` accepts.
+        meaning: the key's meaning, with its unit.
     """
     metadata = {"allowed": allowed, "meaning": meaning}
     if isinstance(default, list):
@@ -120,12 +119,12 @@ def setting(default: Any, allowed: Allowed, meaning: str) -> Any:
 
 
 def other_default(base: type, key: str, default: Any) -> Any:
-    """The field of a base class with another default: what it allows and means stays."""
+    """A base class's field with another default, the same allowed values and meaning."""
     return field(default=default, metadata=base.__dataclass_fields__[key].metadata)  # type: ignore[attr-defined]
 
 
 def option(name: str) -> Any:
-    """The field ``name`` of the schema of a group's option, which identifies the option."""
+    """The field ``name`` of an option, which identifies it in its group."""
     return setting(name, one_of(name), "the option of the group; chosen by <group>=<option>")
 
 
@@ -145,16 +144,16 @@ def check_settings(config: Any, prefix: str = "") -> None:
 
     Args:
         config: the dataclass.
-        prefix: what stands before a key where errors name it.
+        prefix: prefix of keys in messages.
 
     Raises:
-        ConfigError: naming the first key whose value is not allowed.
+        ConfigError: the value of a key is not allowed.
 
     Examples:
         >>> from dataclasses import dataclass
         >>> @dataclass
         ... class Optimizer:
-        ...     lr: float = setting(1e-3, STEP_SIZE, "step size")
+        ...     lr: float = setting(1e-3, STEP_SIZE, "learning rate")
         >>> check_settings(Optimizer(lr=-1.0))
         Traceback (most recent call last):
         ...
@@ -168,20 +167,20 @@ def check_settings(config: Any, prefix: str = "") -> None:
 
 
 def filled(schema: type[Schema], given: Mapping[str, Any], prefix: str) -> Schema:
-    """Returns a dataclass of settings with the values that are given, checked.
+    """Returns a checked dataclass of settings with the given values.
 
     Args:
         schema: the dataclass.
-        given: key to value.
-        prefix: what stands before a key where errors name it.
+        given: values by key.
+        prefix: prefix of keys in messages.
 
     Raises:
-        ConfigError: naming the first key that there is not, or whose value is not allowed.
+        ConfigError: a key is unknown, or its value is not allowed.
     """
     known = list(schema.__dataclass_fields__)  # type: ignore[attr-defined]
     for key in given:
         if key not in known:
-            raise ConfigError(f"{prefix}{key} is not a key; there are {', '.join(known)}")
+            raise ConfigError(f"{prefix}{key} is not a key; the keys are {', '.join(known)}")
     config = schema(**given)
     check_settings(config, prefix)
     return config

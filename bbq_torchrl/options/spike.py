@@ -37,36 +37,36 @@ class SpikeOption(Option):
         optional(ANY_TEXT, "the domain's first that succeeds"),
         "scripted policy of the domain that plays them",
     )
-    protect: bool = setting(True, BOOLEAN, "spiked transitions are never evicted")
+    protect: bool = setting(True, BOOLEAN, "never evict spiked transitions")
     drop_above: float | None = setting(
         None,
         optional(BELOW_ONE, "never"),
-        "training success above which a replica's spiked transitions are dropped for good",
+        "success in training above which a replica's spiked transitions are dropped for good",
     )
-    drop_window: int = setting(5, COUNT, "rounds that drop_above takes the mean success of")
+    drop_window: int = setting(5, COUNT, "rounds over which drop_above averages the success")
 
     def check(self) -> None:
-        """Refuses keys without effect: of no dialogues, a threshold of what leaves by itself."""
+        """Refuses keys without effect."""
         for item in fields(SpikeOption):
             value, default = getattr(self, item.name), getattr(type(self), item.name)
             if not self.dialogues and item.name != "dialogues" and value != default:
                 raise ConfigError(
                     f"spike.{item.name} must be {json.dumps(default)} with spike.dialogues=0, "
-                    f"where nothing is spiked, got {shown(value)}"
+                    f"which spikes nothing, got {shown(value)}"
                 )
         if self.drop_above is None and self.drop_window != type(self).drop_window:
             raise ConfigError(
                 f"spike.drop_window must be {type(self).drop_window} with spike.drop_above=null, "
-                f"which it is the window of, got {self.drop_window}"
+                f"which needs no window, got {self.drop_window}"
             )
         if self.drop_above is not None and not self.protect:
             raise ConfigError(
-                "spike.drop_above cannot be combined with spike.protect=false: transitions that "
-                "are not protected leave by themselves, so spike.drop_above must be null"
+                "spike.drop_above cannot be combined with spike.protect=false: unprotected "
+                "transitions are evicted anyway, so spike.drop_above must be null"
             )
 
     def make(self, policy: Policy) -> Spike:
-        """Makes the part that fills the buffer with dialogues of the policy."""
+        """Makes the part that fills the buffer with the policy's dialogues."""
         from bbq_torchrl.trainers import Spike
 
         return Spike(

@@ -1,4 +1,4 @@
-"""The sizes that networks and exploration have to fit: features, actions, replicas."""
+"""The task: sizes and specs that networks and exploration must match."""
 
 from __future__ import annotations
 
@@ -18,20 +18,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Task:
-    """The sizes that networks and exploration have to fit.
+    """The sizes and specs that networks and exploration must match.
 
     Attributes:
-        inputs: features of an observation.
-        action_spec: of one action, categorical.
-        replicas: independent seeds trained side by side; the first dimension of all weights and
-            of every batch.
-        rounds: of the training, which schedules take a share of.
-        device: of the weights.
-        action_mask_key: where an observation says which actions are legal; None: all always are.
-        inactive_inputs: bool [inputs], features that come into use later; None: all are in use.
-        inactive_actions: bool [actions], the same of actions.
-        counted_inputs: bool [inputs], features that tell kinds of states apart, for counts of
-            visits; None: all do.
+        inputs: number of features of an observation.
+        action_spec: categorical spec of an action.
+        replicas: number of independent seeds trained in parallel, the first dimension of all
+            weights and batches.
+        rounds: rounds of the training, for schedules.
+        device: device of the weights.
+        action_mask_key: key of the mask of legal actions; None: all actions are always legal.
+        inactive_inputs: bool [inputs], features that become active later; None: all are active.
+        inactive_actions: bool [actions], actions that become active later; None: all are active.
+        counted_inputs: bool [inputs], features that distinguish states in visit counts; None: all.
     """
 
     inputs: int
@@ -50,7 +49,7 @@ class Task:
         return int(self.action_spec.n)
 
     def reset_inactive_(self, network: Any) -> None:
-        """Starts weights of what is not active yet as if it were added only later.
+        """Initializes the weights of inactive inputs and actions as if they were added later.
 
         See :func:`~bbq_torchrl.networks.growth.reset_inactive_`; the network must be
         :class:`~bbq_torchrl.protocols.Growing`.
@@ -62,20 +61,20 @@ class Task:
 
 
 def action_mask_key(env: EnvBase) -> str | None:
-    """Returns the key of an environment's mask of legal actions; None: all are always legal."""
+    """Returns the key of an environment's action mask; None: all actions are always legal."""
     return "action_mask" if "action_mask" in list(env.observation_spec.keys()) else None
 
 
 def check_env(env: EnvBase, option: str, batch_size: Sequence[int]) -> None:
-    """Refuses an environment that an agent cannot be trained in, by its specs.
+    """Refuses an environment whose specs an agent cannot be trained with.
 
     Args:
-        env: what the option made.
-        option: its name.
-        batch_size: what it was to be made with.
+        env: the environment that the option has made.
+        option: the option's name.
+        batch_size: the batch size requested.
 
     Raises:
-        ConfigError: the first thing that does not fit.
+        ConfigError: the batch size or a spec does not match.
     """
     import torch
     from torchrl.data import Categorical, OneHot

@@ -1,4 +1,4 @@
-"""Keys with a list: several values of a hyper-parameter in the replicas of one run."""
+"""Keys with lists: different values of a hyper-parameter in the replicas of a run."""
 
 from __future__ import annotations
 
@@ -18,17 +18,17 @@ if TYPE_CHECKING:
 
 
 class Replicated(Protocol):
-    """A configuration of independent seeds that are trained together."""
+    """A configuration with replicas."""
 
     replicas: int
 
 
 def spread(value: Any, replicas: int) -> list[Any]:
-    """Returns the value of each replica: neighbors share one where there are fewer than replicas.
+    """Returns the value of each replica; neighboring replicas share the values of a shorter list.
 
     Args:
         value: one value, or a list whose length divides ``replicas``.
-        replicas: their number.
+        replicas: the number of replicas.
 
     Examples:
         >>> spread([0.1, 0.2], 6)
@@ -42,7 +42,7 @@ def spread(value: Any, replicas: int) -> list[Any]:
 
 
 def replica_values(config: Replicated) -> list[dict[str, float]]:
-    """Returns for each replica the values of the keys that have a list: dotted key to value."""
+    """Returns, for each replica, its values of the keys with lists, by dotted key."""
     columns = {key: spread(value, config.replicas) for key, value in lists(config)}
     return [
         {key: float(values[replica]) for key, values in columns.items()}
@@ -51,16 +51,16 @@ def replica_values(config: Replicated) -> list[dict[str, float]]:
 
 
 def lists(config: Replicated) -> Iterator[tuple[str, list[Any]]]:
-    """Yields the keys whose values differ between replicas: dotted key, and the values."""
+    """Yields (dotted key, values) of the keys whose values differ between replicas."""
     for key, item, value in walk(config):
         if isinstance(value, list) and item.metadata["allowed"].per_replica:
             yield key, value
 
 
 def check_falls(option: Option, first: str, last: str) -> None:
-    """Refuses a schedule that rises for any replica, from one key of an option to another."""
+    """Refuses a schedule, given by two keys of an option, that rises for any replica."""
     start, end = getattr(option, first), getattr(option, last)
-    # Any number of replicas that both lists divide has the same pairs.
+    # All numbers of replicas that both lengths divide give the same pairs.
     replicas = math.lcm(*(len(value) if isinstance(value, list) else 1 for value in (start, end)))
     pairs = zip(spread(start, replicas), spread(end, replicas), strict=True)
     if any(before < after for before, after in pairs):
@@ -69,7 +69,7 @@ def check_falls(option: Option, first: str, last: str) -> None:
 
 
 def over_replicas(value: Values, task: Task) -> float | Tensor:
-    """Returns one number as it is, and a list as float64 [replicas]."""
+    """Returns a number as a float, and a list as a float64 tensor [replicas]."""
     if isinstance(value, list):
         import torch
 
@@ -78,21 +78,21 @@ def over_replicas(value: Values, task: Task) -> float | Tensor:
 
 
 def beside_dialogues(value: Values, task: Task) -> float | Tensor:
-    """Returns one number as it is, and a list as float64 [replicas, 1]."""
+    """Returns a number as a float, and a list as a float64 tensor [replicas, 1]."""
     over = over_replicas(value, task)
     return over if isinstance(over, float) else over.unsqueeze(-1)
 
 
 def annealed_rounds(fraction: float, task: Task) -> int:
-    """Returns the length of a schedule; a share of 0 ends after the first round."""
+    """Returns the length of a schedule in rounds, at least 1."""
     return max(1, round(fraction * task.rounds))
 
 
 def keys_with_lists(schemas: Mapping[str, Mapping[str, type]]) -> list[str]:
-    """Returns the dotted keys that can have a list, each once.
+    """Returns the distinct dotted keys that can have a list.
 
     Args:
-        schemas: group to option to its dataclass.
+        schemas: group -> name -> option.
     """
     found = {
         f"{group}.{item.name}": None

@@ -1,4 +1,4 @@
-"""What a command line stands for."""
+"""The configurations of command lines."""
 
 from __future__ import annotations
 

@@ -1,6 +1,6 @@
 """Evaluations that would take longer than the training between them.
 
-All else that is refused is in the table tests/adversary/bad_input.yaml.
+The table tests/adversary/bad_input.yaml has all other refusals.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The default of a key is that of the argument of a part which the key becomes."""
+"""The default of a key equals that of the part's argument it sets."""
 
 from __future__ import annotations
 
@@ -22,11 +22,11 @@ ON_PURPOSE = {
     ("ThompsonSampling", "shared"): "None depends on per, and is false for the default of that",
     ("DynamicsLoss", "every"): "at every batch, VIME would more than double the time of DQN",
 }
-"""(part, argument) whose default is another than the key's: why."""
+"""(part, argument) -> why its default differs from the key's."""
 
 
 def arguments(part):
-    """The arguments of a part by name: its own in their order, then those that it hands on."""
+    """The arguments of a part by name: first those it declares, then those it passes on."""
     functions = [kind.__init__ for kind in (*part.__mro__, BayesLayer)] if isclass(part) else [part]
     found = {}
     for function in functions:
@@ -37,7 +37,7 @@ def arguments(part):
 
 
 def calls(option):
-    """Each call, in the methods of an option, of what these import of us: (what, the call)."""
+    """Each call of an import of ours in the methods of an option: (import, call)."""
     ours = [cls for cls in option.__mro__ if cls.__module__.startswith("bbq_torchrl.options")]
     for method in (part for cls in ours for part in _parsed(cls).body):
         nodes = list(ast.walk(method))
@@ -59,7 +59,7 @@ def _parsed(cls):
 def pairs():
     """Each key that is an argument with a default: (key, default, part, argument, default).
 
-    An argument is a key if it has its name, or if what is given for it is made of ``self.<key>``.
+    An argument belongs to a key if it has the key's name, or if ``self.<key>`` is in its value.
     """
     found = {}
     for group, known in schemas().items():

@@ -1,4 +1,4 @@
-"""The door by which options come in: what it lets through, and what it says of the rest."""
+"""The registry of options: accepted options, and refusals of others."""
 
 from __future__ import annotations
 
@@ -59,8 +59,8 @@ class Narrow(ExploreOption):
 
 @pytest.fixture(autouse=True)
 def unchanged(monkeypatch, tmp_path):
-    """What a test registers or loads is gone after it."""
-    monkeypatch.setenv(registry.FOLDER_VARIABLE, "")  # so that it is put back
+    """Removes what a test registers or loads."""
+    monkeypatch.setenv(registry.FOLDER_VARIABLE, "")  # so that it is restored
     monkeypatch.delenv(registry.FOLDER_VARIABLE)
     with own_options():
         yield
@@ -71,7 +71,7 @@ def unchanged(monkeypatch, tmp_path):
 
 @pytest.fixture
 def own(tmp_path):
-    """Makes a folder with an option of one's own, and YAML files in its group."""
+    """Makes a folder with a user's option, and YAML files in its group."""
 
     def folder(name="own", **files):
         (tmp_path / name / "explore").mkdir(parents=True)
@@ -237,10 +237,10 @@ TAKEN = "seed: 7\n"
         ("lacking.py", "import no_such_module", "cannot be imported: No module named"),
         ("taken.py", STRATEGY.replace("narrow", "greedy"), "cannot be imported: explore=greedy is"),
         ("json.py", "", "must have a name that no other module has, got json, which is"),
-        ("explore/greedy.yaml", TAKEN, "must have another name: explore=greedy is there already"),
-        ("experiment/quick.yaml", TAKEN, "must have another name: experiment=quick is there alr"),
-        ("experiment/agents/dqn.yaml", TAKEN, "must have another name: experiment=agents/dqn is"),
-        ("search/dqn.yaml", TAKEN, "must have another name: search=dqn is there already"),
+        ("explore/greedy.yaml", TAKEN, "must have another name: explore=greedy exists already"),
+        ("experiment/quick.yaml", TAKEN, "must have another name: experiment=quick exists alr"),
+        ("experiment/agents/dqn.yaml", TAKEN, "must have another name: experiment=agents/dqn"),
+        ("search/dqn.yaml", TAKEN, "must have another name: search=dqn exists already"),
     ],
 )
 def test_a_file_that_cannot_be_used_is_named(name, text, said, tmp_path):
@@ -298,7 +298,7 @@ def test_the_commands_take_a_folder_in_processes_of_their_own(own, tmp_path):
         return forked.python(*arguments, cwd=tmp_path, code=2)[1]
 
     assert "narrow" in forked.python(train, *folder, "--help", cwd=tmp_path)[0]
-    # Two jobs side by side: their processes find the folder too.
+    # The processes of two parallel jobs find the folder too.
     sweep = ("-m", "explore=narrow", "seed=1,2", "hydra.sweep.dir=sweep", *TINY)
     forked.python(train, *folder, *sweep, cwd=tmp_path)
     (one, _) = sorted(file.parent for file in (tmp_path / "sweep").rglob("result.json"))

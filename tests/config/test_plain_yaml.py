@@ -1,4 +1,4 @@
-"""YAML from outside: read as plain values, or refused at once in a sentence."""
+"""YAML from users: loaded as plain values, or refused at once in a sentence."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from bbq_torchrl.runs.sweeps import table_of_runs
 
 
 def doubled(first, pattern):
-    """Returns lines each of which stands for eight times the one before."""
+    """Returns lines of which each expands to eight times the one before."""
     lines = [f"a0: &a0 {first}"]
     for number in range(1, 30):
         aliases = ", ".join([f"*a{number - 1}"] * 8)

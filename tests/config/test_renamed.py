@@ -1,4 +1,4 @@
-"""Old import paths and commands, which work for one version more."""
+"""Old import paths and commands, which work for one more version."""
 
 from __future__ import annotations
 

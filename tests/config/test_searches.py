@@ -1,4 +1,4 @@
-"""What a search's command line stands for, and what is refused before a trial runs."""
+"""The configurations of searches, and refusals before a trial runs."""
 
 from __future__ import annotations
 

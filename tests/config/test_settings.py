@@ -1,4 +1,4 @@
-"""Every value that a key does not allow is refused by name."""
+"""Every invalid value of a key is refused by name."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ OPTIONS = [schema for known in schemas().values() for schema in known.values()]
 
 
 def leaves(schema):
-    """The keys of a schema that are no groups."""
+    """The keys of a schema, without groups."""
     return [(key, item) for key, item, _ in walk(schema()) if "allowed" in item.metadata]
 
 
 def valid(schema):
-    """A configuration of the schema that passes; what has to be given is given."""
+    """A valid configuration of the schema, with its required values."""
     config = schema()
     for key, item in leaves(schema):
         if getattr(config, key) == "???":

@@ -1,4 +1,4 @@
-"""What happens to a command line before Hydra runs it: sweeps are checked, folders are chosen."""
+"""Preparation of a command line before Hydra runs it: checks of sweeps, choice of folders."""
 
 from __future__ import annotations
 
@@ -91,7 +91,7 @@ def test_a_resumed_run_goes_on_in_its_folder_with_hydras_record_as_it_was(tmp_pa
     folder.mkdir()
     save_config(compose(["agent=dqn"]), folder / "config.yaml")
     checked = []
-    # Quoted as the shell hands it over to Hydra's grammar.
+    # Quoted as the shell passes it to Hydra's grammar.
     quoted = str(folder).replace("'", "\\'")
     hydra = prepare([f"resume='{quoted}'"], checked.append).composed.hydra
     assert checked[0].agent.name == "dqn"

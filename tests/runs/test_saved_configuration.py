@@ -1,4 +1,4 @@
-"""A saved configuration is read back, and a run goes on with it."""
+"""Saved configurations: loading them, and resuming runs with them."""
 
 from __future__ import annotations
 
