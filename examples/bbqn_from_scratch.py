@@ -4,9 +4,9 @@
     python examples/bbqn_from_scratch.py --seed 3 --rounds 10
 
 The algorithm of Lipton et al. (BBQ-Networks, AAAI 2018), to be read from top to bottom: plain torch
-on our environment, without options, replicas, checkpoints or speed. What it plays and learns is
-what ``python train.py +experiment=agents/bbqn_map env=full protocol=quick`` does; the numbers below
-are that command's, and the results agree (docs/learning_starts.md).
+on our environment, without options, replicas, checkpoints or optimizations. It plays and learns as
+``python train.py +experiment=agents/bbqn_map env=full protocol=quick`` does, with the same numbers,
+and the results agree (docs/learning_starts.md).
 """
 
 from __future__ import annotations
@@ -28,14 +28,14 @@ from bbq_torchrl.envs import DialogueEnv, scripted_policy
 
 # The protocol: in each round 50 dialogues, then twice: freeze the target, 3 epochs of learning.
 ROUNDS, DIALOGUES, FREEZES, EPOCHS, BATCH_SIZE = 40, 50, 2, 3, 128
-CAPACITY = 5_000  # transitions in the buffer, those of the spike among them
-SPIKE_DIALOGUES = 100  # of the rule agent, in the buffer before the first round
+CAPACITY = 5_000  # transitions in the buffer, including the spike
+SPIKE_DIALOGUES = 100  # the rule agent's dialogues in the buffer before the first round
 EVALUATION_DIALOGUES = 2_000
 
 HIDDEN = (256, 256)
 PRIOR_STD = 0.037  # the prior of every weight is N(0, PRIOR_STD²)
-STD_INIT = 0.09  # σ of every weight at first
-NOISE_STD = 1.0  # of the targets, in units of Q: the likelihood is N(target; Q, NOISE_STD²)
+STD_INIT = 0.09  # initial σ of every weight
+NOISE_STD = 1.0  # noise of the targets, in units of Q: the likelihood is N(target; Q, NOISE_STD²)
 KL_TEMPERATURE = 0.014  # factor on the KL; 1 would be Bayes' rule
 GAMMA, LEARNING_RATE = 0.9, 2e-3
 
@@ -81,14 +81,14 @@ class BayesLinear(nn.Module):
             return x @ self.mu
         if how == "draw":
             return x @ self.draw()
-        # With Gaussian weights the outputs are Gaussian too. To draw those is the same, and far
-        # less than a weight matrix for each row (local reparameterization, Kingma et al. 2015).
+        # With Gaussian weights the outputs are Gaussian too. Drawing them is equivalent, and takes
+        # fewer draws than weights for each row (local reparameterization, Kingma et al. 2015).
         std = (x**2 @ self.sigma**2).sqrt()
         return x @ self.mu + std * torch.randn_like(std)
 
 
 class BayesQNetwork(nn.Module):
-    """Q(s, ·) of a state's features, by Bayesian layers with ReLUs between them."""
+    """Q(s, ·) from a state's features: Bayesian layers with ReLUs in between."""
 
     def __init__(self, features: int, actions: int) -> None:
         super().__init__()
@@ -107,7 +107,7 @@ class BayesQNetwork(nn.Module):
 
 
 def best_legal(values: Tensor, legal: Tensor) -> tuple[Tensor, Tensor]:
-    """Returns the highest values [rows] among the legal actions, and which actions they are."""
+    """Returns the highest values [rows] among the legal actions, and their actions."""
     return values.masked_fill(~legal, -math.inf).max(-1)
 
 
@@ -127,7 +127,7 @@ def policy_of(net: BayesQNetwork, how: str) -> Policy:
 
 
 def play(env: DialogueEnv, policy: Policy) -> tuple[TensorDict, float]:
-    """Plays a dialogue in each place to its end. Returns the transitions [n] and the success."""
+    """Plays a batch of dialogues to their ends. Returns the transitions [n] and the success."""
     rollout = env.rollout(
         env.max_agent_turns,
         policy,
@@ -136,14 +136,14 @@ def play(env: DialogueEnv, policy: Policy) -> tuple[TensorDict, float]:
         trust_policy=True,
     )
     done = rollout["next", "done"].squeeze(-1)  # [dialogues, turns]
-    played = done.cumsum(-1) - done.long() == 0  # up to its end: then a dialogue only waits
+    played = done.cumsum(-1) - done.long() == 0  # up to the dialogue's end
     success = (rollout["next", "success"].squeeze(-1) & played).any(-1)
     return rollout[played], success.double().mean().item()
 
 
 @torch.no_grad()
 def targets_of(net: BayesQNetwork, data: TensorDict) -> Tensor:
-    """Returns r + γ max Q(s', ·) over legal actions, [rows], by the mean network as it is now."""
+    """Returns r + γ max Q(s', ·) over legal actions, [rows], from the current mean network."""
     after = data["next"]
     following, _ = best_legal(net(after["observation"], "mean"), after["action_mask"])
     going_on = ~after["terminated"].squeeze(-1)
@@ -153,7 +153,7 @@ def targets_of(net: BayesQNetwork, data: TensorDict) -> Tensor:
 def loss_of(
     net: BayesQNetwork, states: Tensor, actions: Tensor, targets: Tensor, num_data: int
 ) -> Tensor:
-    """Returns the negative evidence lower bound of a batch by one draw of the weights, over N.
+    """Returns the negative evidence lower bound of a batch with one weight draw, divided by N.
 
     Args:
         net: the network.
@@ -168,10 +168,10 @@ def loss_of(
 
 
 def learn(net: BayesQNetwork, optimizer: torch.optim.Optimizer, data: TensorDict) -> None:
-    """Freezes the target and learns for some epochs over the buffer, and all that again."""
+    """Freezes the target and learns for some epochs over the buffer, repeatedly."""
     states, actions = data["observation"], data["action"]
     for _ in range(FREEZES):
-        targets = targets_of(net, data)  # the frozen network is only needed here
+        targets = targets_of(net, data)  # the only use of the frozen network
         for _ in range(EPOCHS):
             for rows in torch.randperm(len(data)).split(BATCH_SIZE):
                 loss = loss_of(net, states[rows], actions[rows], targets[rows], len(data))
@@ -187,8 +187,8 @@ def train(seed: int, rounds: int, dialogues: int) -> float:
     net = BayesQNetwork(env.layout.size, len(env.domain.actions))
     optimizer = torch.optim.Adam(net.parameters(), LEARNING_RATE, fused=True)
 
-    # Spiking: without some successes of a simple agent nothing would ever be learned, as random
-    # actions succeed in one dialogue of 2,000. These transitions are never evicted.
+    # Spiking: random actions succeed in one of 2,000 dialogues, so the agent would learn nothing
+    # without some successes of a simple agent. These transitions are never evicted.
     rule = scripted_policy("rule", env)
     spiked = torch.cat([play(env, rule)[0] for _ in range(SPIKE_DIALOGUES // DIALOGUES)])
     own = spiked[:0]
@@ -203,7 +203,7 @@ def train(seed: int, rounds: int, dialogues: int) -> float:
 
 
 def main() -> None:
-    """Trains one agent; prints its final success, and adds it to a file where one is given."""
+    """Trains one agent, prints its final success, and adds it to a file if given."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--rounds", type=int, default=ROUNDS)

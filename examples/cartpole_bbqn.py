@@ -1,11 +1,11 @@
-"""BBQN on CartPole: the parts in a TorchRL loop of one's own, without any dialogue.
+"""BBQN on CartPole: the parts in a plain TorchRL loop, without dialogues.
 
     pip install -e '.[examples]'
     python examples/cartpole_bbqn.py                  # 15,000 frames, half a minute
     python examples/cartpole_bbqn.py --agent dqn      # the same loop with DQN, epsilon-greedy
     python examples/cartpole_bbqn.py --frames 500     # only to see it run
 
-Of BBQN no hyper-parameter of the Bayesian parts is named; "bbqn_paper_start" names the paper's. The
+BBQN uses the defaults of the Bayesian parts, "bbqn_paper_start" the paper's initial posterior. The
 returns of five seeds are in results/cartpole.csv and on docs/parts.md.
 """
 
@@ -33,7 +33,7 @@ Agent = Literal["bbqn", "bbqn_paper_start", "dqn"]
 
 GAMMA, CAPACITY, BATCH_SIZE = 0.9, 10_000, 128
 FRAMES_PER_BATCH, UPDATES_PER_BATCH = 100, 20
-LONGEST = 500  # frames of an episode of CartPole-v1; each is worth a reward of 1
+LONGEST = 500  # frames of an episode of CartPole-v1, each with a reward of 1
 
 
 def make_env(seed: int) -> GymEnv:
@@ -96,7 +96,7 @@ def train(agent: Agent, frames: int, seed: int, *, every: int = 3000) -> float:
         explore,
         frames_per_batch=FRAMES_PER_BATCH,
         total_frames=frames,
-        auto_register_policy_transforms=True,  # what a policy needs of its environment
+        auto_register_policy_transforms=True,  # transforms that the policy needs
     )
     policy = EvaluationPolicy(actor)  # the mean network
     seen = 0
@@ -119,7 +119,7 @@ def train(agent: Agent, frames: int, seed: int, *, every: int = 3000) -> float:
 
 
 def write_row(file: Path, row: dict[str, object]) -> None:
-    """Adds a row to a CSV file, which it begins where there is none."""
+    """Adds a row to a CSV file, creating it if necessary."""
     is_new = not file.exists()
     with file.open("a", newline="") as lines:
         writer = csv.DictWriter(lines, row, lineterminator="\n")

@@ -1,8 +1,8 @@
-"""CartPole with a DQN and VIME: the parts of this package in a TorchRL loop of one's own.
+"""CartPole with a DQN and VIME: the parts of this package in a plain TorchRL loop.
 
-Nothing here knows of dialogues. A dynamics model gives every transition that goes into the replay
-buffer a bonus for what it taught; the Q-network learns from task reward + bonus, and the
-dynamics from the same batches. What is printed is the task's return, which the bonus is not in.
+There are no dialogues. Every transition gets a bonus for its information gain about a dynamics
+model. The Q-network learns from task reward + bonus, the dynamics model from the same batches. The
+printed return is the task's, without the bonus.
 
     pip install -e '.[examples]'
     python examples/cartpole_vime.py                  # 20,000 frames
@@ -34,7 +34,7 @@ def recent(returns: list[float]) -> float:
 
 
 def main() -> None:
-    """Trains, and writes the return of the last 10 episodes every 20 batches."""
+    """Trains, and prints the mean return of the last 10 episodes every 20 batches."""
     parser = argparse.ArgumentParser(description="CartPole with a DQN and VIME")
     parser.add_argument("--frames", type=int, default=20_000)
     parser.add_argument("--frames-per-batch", type=int, default=100)

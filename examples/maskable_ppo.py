@@ -1,4 +1,4 @@
-"""An agent of another library books movie tickets: MaskablePPO of sb3-contrib.
+"""An agent of another library that books movie tickets: MaskablePPO of sb3-contrib.
 
     pip install -e '.[examples]'
     python examples/maskable_ppo.py --steps 100000
@@ -35,7 +35,7 @@ def success_rate(agent: MaskablePPO, dialogues: int, seed: int) -> float:
 
 
 def main() -> None:
-    """Trains, plays and says how well."""
+    """Trains, evaluates and prints the success."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,11 +1,11 @@
-"""How soon a start of the posterior fits what it is given: the plateau of the zero mean.
+"""How fast different initial posteriors fit a fixed buffer: the plateau of the zero mean.
 
     python examples/plateau.py --file results/plateau.csv    # two minutes
     python examples/plateau.py --epochs 3                    # a first look, on the screen
 
-A fixed buffer, 100 dialogues of the rule agent and 100 of a random one, is learned without playing.
-The last transition of each success has the target 40, the reward itself, from the first update on.
-What the mean network says there, after so many updates, tells whether anything is learned.
+The agent learns from a fixed buffer, 100 dialogues of the rule agent and 100 of a random one,
+without playing. The last transition of each success has the target 40, the reward itself, from the
+first update on. The mean network's value there shows whether anything is learned.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ EPOCHS_A_FREEZE = 3
 
 
 def spiked_trainer(mean_init: str, std_init: float, seeds: int, folder: Path) -> RoundTrainer:
-    """Returns a trainer whose buffers hold the rule agent's dialogues and as many random ones."""
+    """Returns a trainer with the rule agent's dialogues and as many random ones in its buffers."""
     config = compose(
         [
             "agent=bbqn",
@@ -68,7 +68,7 @@ def spiked_trainer(mean_init: str, std_init: float, seeds: int, folder: Path) ->
 
 
 def values_of_successes(trainer: RoundTrainer) -> list[float]:
-    """Returns each replica's mean of Q, by the mean network, at the last actions of successes."""
+    """Returns each replica's mean Q of the mean network at the last actions of successes."""
     total = counts = None
     with torch.no_grad():
         for batch in trainer.replay.epoch(512):
@@ -82,7 +82,7 @@ def values_of_successes(trainer: RoundTrainer) -> list[float]:
 
 
 def curve(trainer: RoundTrainer, epochs: int) -> Iterator[tuple[int, list[float]]]:
-    """Yields the updates so far and the values at successes, at every freeze."""
+    """Yields, at every freeze, the number of updates and the values at successes."""
     update = Update(trainer.loss, trainer.optimizer)
     trainer.loss.set_num_data(trainer.replay.num_data())
     for epoch in range(epochs):

@@ -3,11 +3,11 @@
     python examples/regression.py                     # half a minute, writes the figure in docs/
     python examples/regression.py --steps 200 --out quick.png
 
-A curve is learned from noisy points in [0, 0.5] by :class:`~bbq_torchrl.bayes.BayesMLP`, trained
-on the evidence bound with :func:`~bbq_torchrl.bayes.weight_scope`, and by a plain network of the
-same size. Where there are no points the plain network extrapolates one curve as if it were sure of
-it; the weight draws of the Bayesian one fan out. This is what Thompson sampling explores by.
-Nothing of reinforcement learning or of dialogue is needed.
+Two networks of the same size learn a curve from noisy points in [0, 0.5]: a
+:class:`~bbq_torchrl.bayes.BayesMLP`, trained on the evidence bound with
+:func:`~bbq_torchrl.bayes.weight_scope`, and a plain network. Outside the data the plain network
+extrapolates a single curve, while the weight draws of the Bayesian one fan out. Thompson sampling
+explores by this uncertainty. The example needs neither reinforcement learning nor dialogues.
 """
 
 from __future__ import annotations
@@ -43,12 +43,12 @@ def curve(count: int) -> tuple[Tensor, Tensor]:
 
 
 def standardized(x: Tensor) -> Tensor:
-    """Returns x with the mean and the spread of [0, 0.5] taken off, as networks want it."""
+    """Returns x standardized by the mean and std of [0, 0.5]."""
     return (x - 0.25) / 0.144
 
 
 def train_bayesian(x: Tensor, y: Tensor, steps: int) -> BayesMLP:
-    """Returns a network that maximizes the evidence bound, a weight draw a step."""
+    """Returns a network trained on the evidence bound, with a weight draw for each step."""
     net = BayesMLP(1, 1, HIDDEN, prior_std="fan_in", mean_init="kaiming", std_init=0.02)
     optimizer = torch.optim.Adam(net.parameters(), 3e-3)
     schedule = torch.optim.lr_scheduler.CosineAnnealingLR(optimizer, steps)
@@ -65,7 +65,7 @@ def train_bayesian(x: Tensor, y: Tensor, steps: int) -> BayesMLP:
 
 
 def train_plain(x: Tensor, y: Tensor, steps: int) -> FlatMLP:
-    """Returns a network that minimizes the squared error."""
+    """Returns a network trained on the squared error."""
     net = FlatMLP(1, 1, HIDDEN)
     optimizer = torch.optim.Adam(net.parameters(), 3e-3)
     for _ in range(steps):
@@ -85,14 +85,14 @@ def draws(net: BayesMLP, x: Tensor, count: int = 500) -> Tensor:
 
 
 def spread_ratio(net: BayesMLP) -> float:
-    """Returns the spread of draws at x = -0.3 and 1 (the mean of both), over that on the data."""
+    """Returns the std of draws, averaged over x = -0.3 and 1, divided by that on the data."""
     off = draws(net, torch.tensor([[-0.3], [1.0]])).std(0).mean()
     on = draws(net, torch.linspace(0.0, 0.5, 51).unsqueeze(-1)).std(0).mean()
     return float(off / on)
 
 
 def draw_panel(axes: Axes, title: str, x: Tensor, y: Tensor) -> None:
-    """Draws what both panels have: the points, limits and names."""
+    """Draws the common parts of both panels: points, limits and labels."""
     axes.plot(x, y, ".", color="0.35", markersize=2, alpha=0.5, label="data")
     axes.set(title=title, xlabel="x", xlim=(-0.4, 1.2), ylim=(-1.3, 1.7))
     axes.spines[["top", "right"]].set_visible(False)
@@ -100,7 +100,7 @@ def draw_panel(axes: Axes, title: str, x: Tensor, y: Tensor) -> None:
 
 
 def draw_figure(out: Path, x: Tensor, y: Tensor, bayesian: BayesMLP, plain: FlatMLP) -> None:
-    """Saves the figure: quantiles of the Bayesian network's draws beside the plain network."""
+    """Saves the figure: quantiles of the Bayesian network's draws next to the plain network."""
     mpl.use("Agg")
     from matplotlib import pyplot as plt
 

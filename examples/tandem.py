@@ -1,17 +1,17 @@
-"""Is it the dialogues, or what is learned from them? An agent that learns from another one's.
+"""Tandem training: a passive agent learns from the dialogues of an active one.
 
-    python examples/tandem.py                                     # DQN beside BBQN-MAP, 100 rounds
+    python examples/tandem.py                                     # DQN with BBQN-MAP, 100 rounds
     python examples/tandem.py --active dqn --passive bbqn_map --file tandem.csv
     python examples/tandem.py --active dqn --passive dqn --passive-seed 100000    # another DQN's
 
-After every round of the active agent the passive one learns from the same buffer, by its own loss,
-the same number of epochs in the same order, and never plays but in evaluations (the tandem setting
-of Ostrovski et al. 2021, "The Difficulty of Passive Learning in Deep Reinforcement Learning").
-They found that who never plays what it believes in learns worse from the same data. So what BBQN's
-dialogues are worth to a DQN is told by a DQN that learns from another DQN's.
+After every round of the active agent the passive one learns from the same buffer with another loss,
+for the same epochs in the same order. It plays only in evaluations (the tandem setting of Ostrovski
+et al. 2021, "The Difficulty of Passive Learning in Deep Reinforcement Learning"). They found that
+passive agents learn worse from the same data. So the value of BBQN's dialogues for a DQN shows in
+the comparison with a DQN that learns from another DQN's.
 
-The active agent does not notice: its rounds are bitwise those of an ordinary run of that seed. So
-are the users in the evaluations, and agents can be compared by pairs with any other run's.
+The active agent is not affected: its rounds equal those of an ordinary run with that seed bit by
+bit. So do the users in evaluations, which allows paired comparisons with other runs.
 """
 
 from __future__ import annotations
@@ -50,15 +50,15 @@ def make_trainers(
     folder: Path,
     passive_seed: int | None = None,
 ) -> tuple[RoundTrainer, RoundTrainer]:
-    """Returns the trainer of who plays and learns, and that of who learns only.
+    """Returns the trainers of the active and the passive agent.
 
     Args:
-        active: the agent whose dialogues are learned from, one of ``AGENTS``.
-        passive: the other one, which may be the same.
-        overrides: of both configurations.
-        folder: for the trainers' files.
-        passive_seed: of the passive one's first weights, instead of the run's own. Two agents of
-            one kind and one seed would stay alike.
+        active: the agent that plays, one of ``AGENTS``.
+        passive: the agent that only learns, which may be the same.
+        overrides: overrides of both configurations.
+        folder: folder of the trainers' files.
+        passive_seed: seed of the passive agent's initial weights, instead of the run's. Two equal
+            agents with one seed would stay equal.
     """
 
     def make(role: str, name: str, *more: str) -> RoundTrainer:
@@ -73,11 +73,11 @@ def make_trainers(
 
 
 def tandem(leader: RoundTrainer, follower: RoundTrainer) -> Iterator[list[Row]]:
-    """Trains both, and yields after each evaluation every agent's success in it.
+    """Trains both agents, and yields their success after each evaluation.
 
     Args:
         leader: the trainer of the active agent.
-        follower: that of the passive one; its loss, optimizer and evaluations are all that is used.
+        follower: that of the passive one, of which only loss, optimizer and evaluator are used.
 
     Yields:
         (role, rounds so far, replica, evaluation success) for each role and replica.
@@ -113,7 +113,7 @@ def tandem(leader: RoundTrainer, follower: RoundTrainer) -> Iterator[list[Row]]:
 
 
 def main() -> None:
-    """Writes a line for each agent, evaluation and replica."""
+    """Writes one line per agent, evaluation and replica."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

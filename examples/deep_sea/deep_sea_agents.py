@@ -1,4 +1,4 @@
-"""The agents that dive: a network, a way to explore with it and a loss, put together."""
+"""The agents: each combines a network, an exploration strategy and a loss."""
 
 from __future__ import annotations
 
@@ -37,27 +37,27 @@ ACTION = Categorical(2)
 
 @dataclass(frozen=True)
 class Settings:
-    """What an agent and its training can be told; each agent reads what concerns it.
+    """The settings of an agent and its training; each agent uses those that apply to it.
 
     Attributes:
         hidden: sizes of the hidden layers.
         gamma: discount.
         lr: learning rate of Adam.
         batch_size: transitions of a mini-batch.
-        updates_per_step: mini-batches learned from for each step of a dive.
-        freeze_every: mini-batches after which the target network is copied anew.
-        capacity: transitions that a replica keeps, the newest ones.
-        eps_end: ε, the probability of a random action, once it has fallen from 1.
-        eps_episodes: episodes that ε falls for.
+        updates_per_step: mini-batches per step of a dive.
+        freeze_every: mini-batches between copies of the target network.
+        capacity: capacity of a replica's memory in transitions.
+        eps_end: final ε, the probability of a random action; it starts at 1.
+        eps_episodes: episodes over which ε falls.
         prior_std: standard deviation of the prior of BBQN's weights, or "fan_in".
-        std_init: standard deviation that BBQN's weights start with, None for the prior's.
+        std_init: initial standard deviation of BBQN's weights; None: the prior's.
         noise_std: standard deviation of BBQN's observation noise, in units of Q.
-        heads: number of bootstrap heads, each a network of its own.
-        mask_prob: probability with which a head learns from a transition; at 1 the heads differ
-            by their first weights (and their prior functions) alone.
+        heads: number of bootstrap heads, each a separate network.
+        mask_prob: probability that a head learns from a transition; with 1 the heads differ only by
+            their initial weights (and their prior functions).
         prior_scale: factor of the bootstrap's, or the epinet's, prior functions.
         index_size: dimensions of the epinet's index.
-        inverse_temperature: of the weights' distribution that Adam LMCDQN samples from.
+        inverse_temperature: inverse temperature of Adam LMCDQN's distribution of weights.
     """
 
     hidden: tuple[int, ...] = (50, 50)
@@ -82,11 +82,11 @@ class Settings:
 def default_settings(name: str) -> Settings:
     """Returns an agent's settings in the sweep, chosen by the trials that docs/deep_sea.md lists.
 
-    BBQN learns from more mini-batches: from as few as the other agents' it did not solve N = 8 in
-    any trial. Its posterior is narrow at first, but for the paper's start, which is the prior. The
-    bootstrap learns in smaller steps: the input of N makes the steps of the first layer's output N
-    times larger. The epinet's values have to differ by no more than the treasure at first, and
-    Adam LMCDQN needs a temperature at which its noise moves weights in a few thousand steps.
+    BBQN needs more mini-batches: with as few as the other agents it solved N = 8 in no trial. Its
+    initial posterior is narrow, except for the paper's, which is the prior. The bootstrap has a
+    smaller learning rate: an input of size N makes the steps of the first layer's output N times
+    larger. The epinet's initial values must not differ by more than the treasure, and Adam LMCDQN
+    needs a temperature at which its noise moves weights in a few thousand steps.
     """
     if name.startswith("bbqn_"):
         return Settings(updates_per_step=4.0, std_init=None if name.endswith("_zero") else 0.03)
@@ -99,15 +99,15 @@ def default_settings(name: str) -> Settings:
 
 @dataclass(frozen=True)
 class Agent:
-    """An agent of R replicas, each of which acts and learns by itself.
+    """An agent of R replicas, which act and learn independently.
 
     Attributes:
-        explore: acts in training.
-        greedy: acts as well as the agent knows.
-        loss: of a batch of transitions [R, batch].
-        begin_dive: to be called before each dive.
-        when_stored: what is done to transitions [R, steps] as they are stored, if anything.
-        make_optimizer: takes the loss's parameters, R, and the learning rate as ``lr``.
+        explore: the policy in training.
+        greedy: the policy without exploration.
+        loss: the loss of a batch of transitions [R, batch].
+        begin_dive: called before each dive.
+        when_stored: a transform of transitions [R, steps] when they are stored, if any.
+        make_optimizer: called with the loss's parameters, R, and the learning rate as ``lr``.
     """
 
     explore: TensorDictModuleBase
@@ -122,14 +122,14 @@ def make_agent(name: str, size: int, replicas: int, settings: Settings) -> Agent
     """Returns an agent for a sea of N x N cells.
 
     Args:
-        name: one of ``AGENT_NAMES``. BBQN is named after its target's noise; ``_zero``: its weights
-            have mean zero at first.
+        name: one of ``AGENT_NAMES``. BBQN's names have the noise of its target; ``_zero``: the
+            initial mean of the weights is zero.
         size: N.
-        replicas: R, how many agents are trained side by side.
-        settings: of the agent.
+        replicas: R, the number of agents trained in parallel.
+        settings: the agent's settings.
 
     Raises:
-        ValueError: for another name.
+        ValueError: if the name is unknown.
     """
     if name == "epsilon_greedy":
         return _epsilon_greedy(size, replicas, settings)
@@ -148,7 +148,7 @@ def make_agent(name: str, size: int, replicas: int, settings: Settings) -> Agent
 
 
 class Scale(nn.Module):
-    """Multiplies what a network reads.
+    """Scales the input of a network.
 
     A one-hot row of N² cells times N has features of unit mean square. Without it the initial
     weights of an MLP (uniform in ±1/√inputs) tell cells hardly apart beside its biases, and so
@@ -216,7 +216,7 @@ def _bbqn(
         std_init=settings.std_init,
     )
     actor = q_actor(_scaled(size, network), ACTION, action_mask_key=None)
-    # One draw a dive: of all ways to sample from this posterior the one that can dive deepest.
+    # One draw per dive: only consistent actions can reach the treasure.
     explore = ThompsonSampling(actor, per="round", shared=False)
     return Agent(
         explore=explore,
@@ -238,7 +238,7 @@ def _epinet(size: int, replicas: int, settings: Settings) -> Agent:
     from bbq_extending.index_sampling import INDEX, IndexLoss, IndexSampling
 
     class ScaledEpinet(EpinetMLP):
-        """Its input scaled as that of the other agents is."""
+        """A network whose input is scaled as the other agents'."""
 
         def forward(self, x: Tensor, index: Tensor) -> Tensor:
             return super().forward(x * size, index)
@@ -267,7 +267,7 @@ def _langevin(size: int, replicas: int, settings: Settings) -> Agent:
     network = _scaled(size, FlatMLP(size**2, 2, settings.hidden, replicas=replicas))
     actor = q_actor(network, ACTION, action_mask_key=None)
     return Agent(
-        explore=Greedy(actor),  # on weights that are a sample
+        explore=Greedy(actor),  # the weights are a sample
         greedy=Greedy(actor),
         loss=DropoutDQNLoss(actor, gamma=settings.gamma, double_dqn=True),
         begin_dive=lambda: None,

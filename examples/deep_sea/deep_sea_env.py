@@ -16,17 +16,16 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
 MOVE_COST = 0.01
-"""What N steps to the right cost, in units of the treasure."""
+"""The cost of N steps to the right, in units of the treasure."""
 
 
 class DeepSeaEnv(EnvBase):
-    """A diver in an N x N grid sinks a row a step, to the left or to the right, for N steps.
+    """A diver in an N x N grid, which sinks one row in each of N steps, to the left or right.
 
-    A step to the right costs .01 / N, one to the left nothing, and a treasure of 1 is
-    where only the way that turns right in all N rows ends: the bottom right corner, left to the
-    right. Which of the two actions means right is drawn for every cell, so that nothing learned
-    in one cell helps in another. Whoever acts at random finds the treasure in one of 2^N
-    episodes, and every lesson on the way says not to go there.
+    A step to the right costs .01 / N, a step to the left nothing. A treasure of 1 is in the bottom
+    right corner, left to the right, which only N steps to the right reach. The action that means
+    right is drawn for every cell, so learning does not generalize between cells. Random actions
+    find the treasure in one of 2^N episodes, and all rewards on the way discourage going there.
 
     ===============  ===========  ==========================================================
     key              shape        meaning
@@ -102,7 +101,7 @@ class DeepSeaEnv(EnvBase):
         )
 
     def _set_seed(self, seed: int | None) -> None:
-        """Does nothing: once the mapping is drawn there is no chance in this sea."""
+        """Does nothing: only the mapping of actions is random."""
 
     def _reset(self, tensordict: TensorDictBase | None = None, **_: Any) -> TensorDict:
         which = None if tensordict is None else tensordict.get("_reset", None)
@@ -117,7 +116,7 @@ class DeepSeaEnv(EnvBase):
         cell = self._row.clamp_max(size - 1) * size + self._column
         goes_right = tensordict["action"] == self._right.gather(-1, cell[..., None])[..., 0]
         goes_right &= under_way
-        # The last column is reached in the last row and nowhere before.
+        # The last column is only reached in the last row.
         found = goes_right & (self._column == size - 1)
         reward = found.float() - goes_right.float() * (MOVE_COST / size)
         moved = (self._column + 2 * goes_right.long() - 1).clamp(0, size - 1)
@@ -127,10 +126,10 @@ class DeepSeaEnv(EnvBase):
         return self._emit().set("reward", reward[..., None])
 
     def _emit(self) -> TensorDict:
-        """Returns what the agent is told of the divers."""
+        """Returns the observations of the divers."""
         cells = self.size**2
         done = (self._row == self.size)[..., None]
-        # At the bottom row·N is N·N already: the place past the grid, which is cut off.
+        # At the bottom row·N is N·N: the cell past the grid, which is cut off.
         place = (self._row * self.size + self._column).clamp_max(cells)
         observation = F.one_hot(place, cells + 1)[..., :cells].float()
         return TensorDict(

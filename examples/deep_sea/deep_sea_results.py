@@ -1,4 +1,4 @@
-"""The table of results: one line for each agent, size and seed."""
+"""The table of results, with a line for each agent, size and seed."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ AGENT_NAMES = {
     "epinet": "epinet",
     "langevin": "Adam LMCDQN",
 }
-"""The agents, and what the figure calls them."""
+"""The agents, and their names in the figure."""
 
 RESULTS = Path(__file__).resolve().parents[2] / "results" / "deep_sea.csv"
 
 
 @dataclass(frozen=True)
 class Line:
-    """How one replica did.
+    """The result of a replica.
 
     Attributes:
-        agent: which agent.
+        agent: the agent's name.
         size: N of the sea of N x N cells.
-        seed: of the replica.
-        episodes_to_solve: episodes until the sea was solved, None if it never was.
-        episodes: episodes that were dived (replicas side by side stop together).
-        treasures: in how many of them the treasure was found.
+        seed: the replica's seed.
+        episodes_to_solve: episodes until the sea was solved, or None.
+        episodes: number of episodes (replicas trained together stop together).
+        treasures: number of episodes in which the treasure was found.
     """
 
     agent: str
@@ -51,7 +51,7 @@ class Line:
 
 
 def read(file: Path = RESULTS) -> list[Line]:
-    """Returns the lines of a file, none if it does not exist."""
+    """Returns the lines of a file; an empty list if it does not exist."""
     if not file.is_file():
         return []
     with file.open(newline="", encoding="utf-8") as opened:
@@ -69,7 +69,7 @@ def read(file: Path = RESULTS) -> list[Line]:
 
 
 def append(lines: Iterable[Line], file: Path = RESULTS) -> None:
-    """Adds lines to a file, which begins with the names of the columns."""
+    """Adds lines to a file, and the header if the file is new."""
     file.parent.mkdir(parents=True, exist_ok=True)
     is_new = not file.is_file()
     with file.open("a", newline="", encoding="utf-8") as opened:
@@ -80,9 +80,7 @@ def append(lines: Iterable[Line], file: Path = RESULTS) -> None:
 
 
 def typical(lines: Sequence[Line]) -> float | None:
-    """Returns the median of the episodes to solve, an unsolved sea counting as never.
-
-    None if half of the seeds or more have not solved it.
+    """Returns the median of the episodes to solve; None if at least half of the seeds failed.
 
     Examples:
         >>> lines = [Line("a", 4, s, n, 90, 9) for s, n in enumerate((30, None, 10))]
@@ -94,9 +92,9 @@ def typical(lines: Sequence[Line]) -> float | None:
 
 
 def table(lines: Sequence[Line], agents: Sequence[str]) -> str:
-    """Returns a Markdown table: for each agent and size the median and how many seeds solved.
+    """Returns a Markdown table: for each agent and size the median and the number of solved seeds.
 
-    A cell of which no seed, or no more than half of them, solved the sea tells the limit.
+    If at most half of the seeds solved the sea, the cell has the limit of episodes.
 
     Examples:
         >>> lines = [Line("a", 4, s, n, 90, 9) for s, n in enumerate((30, None, 10))]

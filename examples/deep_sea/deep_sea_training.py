@@ -1,4 +1,4 @@
-"""Dives, learns, and notes in which episode each replica has solved the sea."""
+"""Training on DeepSea, until each replica has solved the sea."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 SOLVED_SHARE = 0.1
-"""Share of all episodes so far that must have found the treasure."""
+"""The share of all episodes so far that must have found the treasure."""
 
 
 class DiveMemory:
-    """The newest transitions of each replica, in one memory since all dives have N steps.
+    """The latest transitions of each replica, in one memory because all dives have N steps.
 
     Args:
-        capacity: transitions that each replica keeps.
+        capacity: capacity in transitions of each replica.
 
     Examples:
         >>> memory = DiveMemory(6)
@@ -46,7 +46,7 @@ class DiveMemory:
         return min(self._written, self.capacity)
 
     def extend(self, rows: TensorDictBase) -> None:
-        """Stores transitions [replicas, steps] in the place of the oldest ones."""
+        """Stores transitions [replicas, steps], replacing the oldest ones."""
         replicas, steps = rows.shape
         rows = rows.named_apply(_pack, nested_keys=True)
         if self._rows is None:
@@ -64,7 +64,7 @@ class DiveMemory:
 
 
 def _pack(name: NestedKey, value: Tensor) -> Tensor:
-    # A one-hot row takes a byte a cell instead of four.
+    # A one-hot row takes one byte per cell instead of four.
     return value.to(torch.uint8) if name in OBSERVATIONS else value
 
 
@@ -80,7 +80,7 @@ KEYS = (
     ("next", "done"),
     ("next", "terminated"),
 )
-"""What is kept of a transition."""
+"""The entries stored of a transition."""
 
 OBSERVATIONS = ("observation", ("next", "observation"))
 
@@ -89,12 +89,12 @@ OBSERVATIONS = ("observation", ("next", "observation"))
 def reaches_treasure(agent: Agent, env: DeepSeaEnv) -> Tensor:
     """Returns whether each replica's greedy policy finds the treasure, bool, shape [replicas].
 
-    The only way to the treasure turns right in every cell of the diagonal, so one look at what
-    the policy does in these N cells replaces a dive.
+    The only way to the treasure goes right in every cell of the diagonal, so the policy's actions
+    in these N cells replace a dive.
 
     Args:
-        agent: of R replicas.
-        env: of batch size [R, 1].
+        agent: an agent of R replicas.
+        env: an environment of batch size [R, 1].
     """
     size = env.size
     diagonal = torch.eye(size**2)[:: size + 1].expand(env.batch_size[0], size, -1)
@@ -113,19 +113,19 @@ def train(
     seed: int = 0,
     settings: Settings | None = None,
 ) -> list[Line]:
-    """Trains replicas side by side, until all have solved the sea; returns how each one did.
+    """Trains replicas in parallel until all have solved the sea. Returns the results.
 
     A replica has solved the sea in the first episode after which (1) its greedy policy reaches
     the treasure and (2) at least a tenth of all its episodes so far have found it.
 
     Args:
-        name: which agent.
+        name: the agent's name.
         size: N.
-        replicas: how many; replica r has the seed ``seed + r`` (of its mapping of actions; the
-            numbers that learning draws come from one generator for all).
-        episodes: the most episodes of each replica.
-        seed: of the first replica.
-        settings: of agent and training. Defaults to the agent's ``default_settings``.
+        replicas: number of replicas. Replica r has the seed ``seed + r`` for its mapping of
+            actions; all share the generator of learning.
+        episodes: limit of episodes of each replica.
+        seed: seed of the first replica.
+        settings: settings of agent and training. Defaults to the agent's ``default_settings``.
     """
     settings = settings or default_settings(name)
     keep_freed_memory()

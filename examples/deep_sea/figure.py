@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 PICTURE = Path(__file__).resolve().parents[2] / "docs" / "figures" / "deep_sea.png"
 
-# Okabe and Ito's colors, told apart by color-blind readers too.
+# Okabe and Ito's colors, which color-blind readers can distinguish too.
 LOOKS = {
     "epsilon_greedy": ("#000000", "s"),
     "bootstrap": ("#E69F00", "v"),
@@ -32,7 +32,7 @@ LOOKS = {
     "epinet": ("#CC79A7", "X"),
     "langevin": ("#999999", "*"),
 }
-"""Color and marker; those of zero means look like their twins, but hollow and dashed."""
+"""Color and marker; variants with zero means have hollow markers and dashed lines."""
 
 PANELS = {
     "The agents": [agent for agent in AGENT_NAMES if not agent.endswith("_zero")],
@@ -55,7 +55,7 @@ def draw(lines: Sequence[Line], file: Path) -> None:
         axes.set_title(title, fontsize=10)
     panels[0].set_ylabel("episodes until solved")
     figure.suptitle("DeepSea: seeds (small) and medians (large); above, how many did not solve")
-    # Once in the legend, though in both panels.
+    # Only once in the legend.
     named = {line.get_label(): line for axes in panels for line in axes.get_lines()}
     handles = [line for label, line in named.items() if not label.startswith("_")]
     figure.legend(handles=handles, loc="outside lower center", ncols=4, fontsize=8, frameon=False)
@@ -85,7 +85,7 @@ def _draw_agents(axes: Axes, lines: Sequence[Line], agents: Sequence[str]) -> No
             mfc=face,
         )
         of_size = {n: [line for line in of_agent if line.size == n] for n in sizes}
-        # Not a number where there is no median: the line is broken there.
+        # NaN without a median, which interrupts the line.
         medians = [(typical(of_one) if of_one else None) or nan for of_one in of_size.values()]
         axes.plot(
             [n + shift for n in sizes],

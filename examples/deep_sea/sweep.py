@@ -1,4 +1,4 @@
-"""Makes results/deep_sea.csv: every agent on seas of many sizes, the cheapest first.
+"""The sweep behind results/deep_sea.csv: every agent on seas of many sizes, the cheapest first.
 
     OMP_NUM_THREADS=1 python examples/deep_sea/sweep.py
 
@@ -21,7 +21,7 @@ EPISODES = 300
 
 
 def main() -> None:
-    """Trains what the file lacks."""
+    """Trains the cells that the file lacks."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

@@ -1,4 +1,4 @@
-"""Trains agents side by side on DeepSea and says how many episodes each took to solve it.
+"""Trains agents in parallel on DeepSea and prints the episodes that each needed to solve it.
 
     python examples/deep_sea/train.py --agent bootstrap_prior --size 10 --replicas 5
 
@@ -23,7 +23,7 @@ def _prior_std(text: str) -> float | Literal["fan_in"]:
 
 
 def main() -> None:
-    """Trains as the command line says, and writes a line for each replica."""
+    """Trains the agents of the command line, and writes a line for each replica."""
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )

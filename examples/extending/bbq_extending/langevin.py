@@ -43,7 +43,7 @@ class Langevin(AgentOption):
     double: bool = setting(True, BOOLEAN, "choose the target's action by the online network")
 
     offers: ClassVar[tuple[str, ...]] = ("values",)
-    # Its weights are a sample already: it acts greedily on them.
+    # The weights are a sample already, so the agent acts greedily on them.
     explores_by: ClassVar[str] = "greedy"
 
     def make_actor(self, task: Task) -> QValueActor:
