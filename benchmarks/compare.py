@@ -1,4 +1,4 @@
-"""Prints what the project's speed is to be beside what it is, all from one run.
+"""Measures the project's speed in one run, and prints it next to the targets.
 
     python benchmarks/compare.py                    everything: a quarter of an hour
     python benchmarks/compare.py simulator update   these parts
@@ -44,11 +44,11 @@ PARTS = {
     "time_to_learn": time_to_learn,
     "floor": floor,
 }
-"""Name -> what measures it, in the order of the table."""
+"""Name -> the function that measures it, in the order of the table."""
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measures the parts named, or all, and prints them."""
+    """Measures the given parts, by default all, and prints them."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("parts", nargs="*", choices=[*PARTS, []], help="default: all")
     parser.add_argument("--save", metavar="VERSION", help="keep the figures as a version's")

@@ -4,8 +4,8 @@
     python benchmarks/gpu.py --parts same host
     python benchmarks/gpu.py --device cpu --tiny --file gpu.csv    checks the benchmark itself
 
-That a training on the device equals one on the CPU is checked by drawing all random numbers of both
-on the CPU. What the time does not reach is named and left out.
+To check that training on the device equals training on the CPU, both draw all random numbers on the
+CPU. Parts beyond the time limit are left out and listed.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ PARTS = {
     "run": on_device.whole_run,
     "updates": on_device.updates,
 }
-"""Name -> what measures it; what takes longest comes last."""
+"""Name -> the function that measures it; the slowest comes last."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
-    """Measures the parts named, or all, prints them and keeps them; returns the exit code."""
+    """Measures the given parts, by default all, prints and saves them. Returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--parts", nargs="+", choices=PARTS, default=[*PARTS])
     parser.add_argument("--device", default="cuda", help="default: cuda")

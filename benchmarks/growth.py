@@ -1,11 +1,11 @@
 """Time and memory against rounds, buffer, replicas, dialogues of a round and records.
 
     OMP_NUM_THREADS=1 python benchmarks/growth.py             everything, under ten minutes
-    OMP_NUM_THREADS=1 python benchmarks/growth.py replicas    in the place of the last figures
+    OMP_NUM_THREADS=1 python benchmarks/growth.py replicas    replaces the last figures
     python benchmarks/growth.py --tiny                        seconds; tests the script itself
 
-Each cell runs in a process of its own, whose peak of memory is what it adds to the imported
-packages, and is written to results/growth.csv as soon as it is measured.
+Each cell runs in a separate process, whose peak memory is counted without the imported packages,
+and is written to results/growth.csv as soon as it is measured.
 """
 
 from __future__ import annotations
@@ -41,13 +41,13 @@ FILE = ROOT / "results" / "growth.csv"
 COLUMNS = ("what", "size", "seconds", "megabytes")
 BBQN, DQN = ("agent=bbqn",), ("agent=dqn",)
 LOCKSTEP = 250
-"""Dialogues played side by side on a knowledge base."""
+"""Parallel dialogues on a knowledge base."""
 
 
 def rounds(size: int, run: Path) -> float:
-    """Trains DQN for so many rounds of hardly any work; the training is what counts."""
+    """Trains DQN for a number of short rounds; measures the training."""
     small = ("protocol.dialogues=2", "protocol.capacity=32", "spike=none", "agent.hidden=[8]")
-    # With longer dialogues rounds would take longer or shorter with what is learned.
+    # The time of longer dialogues would depend on the learned policy.
     config = compose([*DQN, *small, "env.max_turn=2", f"protocol.rounds={size}"])
     trainer, _ = build_trainer(config, run)
     trainer.progress = False
@@ -55,28 +55,28 @@ def rounds(size: int, run: Path) -> float:
 
 
 def buffer(size: int, run: Path) -> float:
-    """Learns with BBQN on a full buffer of so many transitions: a freeze, an epoch."""
+    """Learns with BBQN on a full buffer of a number of transitions: a freeze, an epoch."""
     once = (*BBQN, "protocol.freezes=1", "protocol.epochs=1")
     trainer = full_trainer(once, run, replicas=1, capacity=size)
     return seconds(lambda: trainer.learner.learn(0))
 
 
 def replicas(size: int, run: Path) -> float:
-    """Trains so many BBQNs for a round of 50 dialogues and 40 updates each."""
+    """Trains a number of BBQN replicas for a round of 50 dialogues and 40 updates each."""
     trainer = full_trainer(BBQN, run, replicas=size, capacity=320)
     trainer.train_round()
     return seconds(trainer.train_round)
 
 
 def dialogues(size: int, run: Path) -> float:
-    """Plays and stores so many dialogues of a round with BBQN."""
+    """Plays and stores a number of dialogues of a round with BBQN."""
     trainer, _ = build_trainer(compose([*BBQN, f"protocol.dialogues={size}", "spike=none"]), run)
     trainer._collect(0)
     return min(seconds(lambda: trainer._collect(1)) for _ in range(3))
 
 
 def records(size: int, _: Path, new_every: int | None = None) -> float:
-    """Plays 250 dialogues on a knowledge base of so many records."""
+    """Plays 250 dialogues on a knowledge base of a number of records."""
     domain = varied(movie_domain(), size, new_every=new_every)
     play = play_simulator(DialogueEnv(domain, batch_size=(LOCKSTEP,), seed=0))
     play()
@@ -84,13 +84,13 @@ def records(size: int, _: Path, new_every: int | None = None) -> float:
 
 
 def records_build(size: int, _: Path) -> float:
-    """Makes the environment with such a knowledge base."""
+    """Makes the environment with that knowledge base."""
     domain = varied(movie_domain(), size)
     return seconds(lambda: DialogueEnv(domain, batch_size=(LOCKSTEP,), seed=0))
 
 
 def varied(domain: Domain, size: int, *, new_every: int | None = None) -> Domain:
-    """Returns the domain with so many records, mixed from its own.
+    """Returns the domain with a number of records, mixed from its records.
 
     A record has the slots of one of the domain's records and for each of them the value of some
     other record.
@@ -123,12 +123,12 @@ GROWTH: dict[str, tuple[Callable[[int, Path], float], tuple[int, ...]]] = {
     "records_build": (records_build, (100, 1_000, 10_000, 100_000)),
     "new_values": (partial(records, new_every=10), (100, 1_000, 10_000, 30_000)),
 }
-"""Name -> what is done, and how much of it."""
+"""Name -> the function, and its sizes."""
 
 
 def measure(what: str, size: int) -> tuple[float, float]:
     """Measures one cell in a child process. Returns seconds and megabytes."""
-    # A fork has everything imported already: only what the cell itself needs is counted.
+    # A fork has everything imported already, so only the cell itself is counted.
     with ProcessPoolExecutor(1, multiprocessing.get_context("fork")) as child:
         took, peak = child.submit(_cell, what, size).result()
     return round(took, 6), round(peak / 1e6, 3)
@@ -143,13 +143,13 @@ def _cell(what: str, size: int) -> tuple[float, int]:
 
 
 def _peak() -> int:
-    """Returns the most bytes that this process has had in memory at a time."""
+    """Returns the peak memory of this process in bytes."""
     unit = 1 if sys.platform == "darwin" else 1024
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * unit
 
 
 def keep(file: Path, line: Sequence[object]) -> None:
-    """Writes a cell in the place of what was measured of it before, in the order of GROWTH."""
+    """Writes a cell, replacing its earlier measurement, in the order of GROWTH."""
     cells = {}
     if file.is_file():
         with file.open(newline="", encoding="utf-8") as opened:
@@ -163,7 +163,7 @@ def keep(file: Path, line: Sequence[object]) -> None:
 
 
 def main(arguments: Sequence[str] | None = None) -> None:
-    """Measures the cells of what is named, or of all."""
+    """Measures the cells of the given names, by default all."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("what", nargs="*", choices=[*GROWTH, []], help="default: all")
     parser.add_argument("--tiny", action="store_true", help="a size that only tests the script")

@@ -115,7 +115,7 @@ def _open(page: Page, link: str) -> None:
 
 
 def _shoot(page: Page, name: str, form: bool = False) -> None:
-    """Writes a small picture of a page, or of its form alone."""
+    """Writes a small picture of a page, or of its form only."""
     from PIL import Image
 
     if form:
@@ -155,7 +155,7 @@ def draw_chat(file: Path) -> None:
     partner = Partner(agent, cached_understander(agent.domain), Generator(agent.domain))
     Chat(partner, choose_goal(partner.domain, 1, 0), screen, names=names).run(read)
     drawn = screen.export_svg(title=f"bbq chat {AGENT} --goal 1")
-    # Any font of the reader's will do, and none is loaded from another host.
+    # Any font of the reader works; no font is loaded from another host.
     file.write_text(re.sub(r"@font-face \{.*?\}\s*", "", drawn, flags=re.S), encoding="utf-8")
 
 

@@ -8,13 +8,13 @@ from griffe import Function, UnpackTypedDictExtension
 
 
 class Keywords(UnpackTypedDictExtension):
-    """griffe's own, without the section that it adds to a constructor that has no docstring.
+    """griffe's extension, without the section that it adds to constructors without a docstring.
 
     The docstring of the class has the meanings.
     """
 
     def on_function(self, *, func: Function, **kwargs: Any) -> None:
-        """Puts the keywords into a signature."""
+        """Adds the keywords to a signature."""
         super().on_function(func=func, **kwargs)
         if func.docstring is not None and not func.docstring.value:
             func.docstring = None

@@ -1,4 +1,4 @@
-"""Keeps what the documentation needs of a finished run, in results/.
+"""Saves the files of a finished run that the documentation needs, in results/.
 
     python scripts/keep_result.py <run folder> ablations/reference
 
@@ -19,7 +19,7 @@ import yaml
 RESULTS = Path(__file__).resolve().parent.parent / "results"
 
 FOLDER = "<folder>"
-"""Stands for a folder on the machine that made the result."""
+"""Placeholder for a folder on the machine of the run."""
 
 
 def keep(run: Path, target: Path) -> None:
@@ -57,7 +57,7 @@ def _write(file: Path, content: Any) -> None:
 
 
 def main() -> None:
-    """Keeps the run that the command line names."""
+    """Saves the run given on the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("run", type=Path, help="a finished run folder")
     parser.add_argument("name", help="<experiment>/<run> in results/")

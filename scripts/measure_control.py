@@ -1,4 +1,4 @@
-"""Measures what each rule of the dialogue control costs in the simulator: ``results/control.csv``.
+"""Measures the cost of each rule of the dialogue control in the simulator: ``results/control.csv``.
 
 An agent that ships plays the same simulated users without rules, with each rule alone, and with all
 of them.

@@ -25,7 +25,7 @@ from bbq_torchrl.evaluate import composed, evaluation
 FILE = Path(__file__).resolve().parent.parent / "results" / "ladder.json"
 
 POLICIES = ("rule", "careful", "shipped:bbqn_map", "shipped:dqn")
-"""Who is measured."""
+"""The agents measured."""
 
 RUNGS = {
     "no errors": "env.errors=drawn env.slot_error_prob=0",
@@ -35,11 +35,11 @@ RUNGS = {
     "text, never asking": "env.errors=drawn env.level=text env.ask_below=0",
     "text, cautious": "env.errors=drawn env.level=text env.ask_below=.9",
 }
-"""Rung -> what the command line says of it, from the easiest on."""
+"""Rung -> its command-line arguments, easiest first."""
 
 
 def measure(policy: str, rung: str, dialogues: int) -> dict[str, Any]:
-    """Returns what a policy does on a rung, with the command."""
+    """Returns a policy's result on a rung, with the command."""
     arguments = f"policy={policy} {RUNGS[rung]} dialogues={dialogues}".split()
     result = evaluation(composed(arguments))
     del result["turns_per_second"]  # of the machine, not of the agent
@@ -48,7 +48,7 @@ def measure(policy: str, rung: str, dialogues: int) -> dict[str, Any]:
 
 
 def main() -> None:
-    """Measures, and keeps what was measured before and is not to be measured now."""
+    """Measures the selected entries, and keeps the other ones of the file."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--policy", nargs="+", default=POLICIES, help="these alone")
     parser.add_argument("--rung", nargs="+", choices=RUNGS, help="these rungs alone")

@@ -1,7 +1,7 @@
-"""Measures the understanding on hands that it has learned nothing of: ``results/new_hands.json``.
+"""Measures the nlu on writers left out of its training: ``results/new_hands.json``.
 
-The last seven hands of the movie domain's ``learned.txt`` are measured, every other one of them
-left out of training at a time. A hand begins with its terse sentences.
+The writers ("hands") measured are the last seven of the movie domain's ``learned.txt``, of which
+every other one is left out at a time. A hand begins with its terse sentences.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ RESULT = Path(__file__).parents[1] / "results" / "new_hands.json"
 
 
 def main() -> None:
-    """Trains without the hands, and writes what is understood of each."""
+    """Trains without these writers, and writes the accuracy on each."""
     hands = (MOVIE_FOLDER / LEARNED_FILE).read_text("utf-8").split(_BEGINS)
     found = {}
     with tempfile.TemporaryDirectory() as made:

@@ -20,7 +20,7 @@ from bbq_torchrl.evaluate import composed, evaluation
 FILE = Path(__file__).resolve().parent.parent / "results" / "policies.json"
 
 PLACE = "<folder>"
-"""Stands for the folder of the MiuLab corpus in the commands that are kept."""
+"""Placeholder for the folder of the MiuLab corpus in saved commands."""
 
 GOALS_V1 = "user_goals_first_turn_template.part.movie.v1.p"
 MIULAB = f"domain=miulab domain.path={PLACE}"
@@ -46,7 +46,7 @@ SETTINGS: tuple[tuple[str, str, tuple[str, ...], tuple[str, ...]], ...] = (
         for error in (".05", ".10", ".20", ".30")
     ),
 )
-"""Corpus, name of the setting, what the command line says of it, and who is measured in it."""
+"""Corpus, name of the setting, its command-line arguments, and its policies."""
 
 MEASUREMENTS = {
     (corpus, setting, policy): " ".join(
@@ -59,11 +59,11 @@ MEASUREMENTS = {
     for corpus, setting, more, policies in SETTINGS
     for policy in policies
 }
-"""Corpus, setting and policy -> what the command line says besides the policy."""
+"""Corpus, setting and policy -> command-line arguments besides the policy."""
 
 
 def main() -> None:
-    """Measures, and keeps what was measured before and is not to be measured now."""
+    """Measures the selected entries, and keeps the other ones of the file."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--miulab", type=Path, help="folder of the MiuLab files")
     parser.add_argument("--policy", help="measure this policy alone")

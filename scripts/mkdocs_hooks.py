@@ -22,7 +22,7 @@ _ROLE = re.compile(r":(?:class|func|meth|data|attr|mod|exc|obj):<code>(?P<path>~
 
 
 def on_page_markdown(markdown: str, **_: Any) -> str:
-    """Returns the page with files of the root put in, their links to docs/ as seen from there."""
+    """Returns the page with files of the root inserted and their links to docs/ adapted."""
     return _INCLUDED.sub(
         lambda match: (_ROOT / match["file"]).read_text(encoding="utf-8").replace("](docs/", "]("),
         markdown,
@@ -42,5 +42,5 @@ def _to_mathml(match: re.Match[str]) -> str:
 def _to_link(match: re.Match[str]) -> str:
     path = match["path"].lstrip("~")
     shown = path.rpartition(".")[2] if match["path"].startswith("~") else path
-    # mkdocs-autorefs fills it in; "optional" lets a name that has no page stay plain code.
+    # mkdocs-autorefs fills it in; with "optional" a name without a page stays plain code.
     return f'<autoref identifier="{path}" optional><code>{shown}</code></autoref>'

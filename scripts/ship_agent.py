@@ -1,4 +1,4 @@
-"""Makes a shipped agent of a finished run.
+"""Makes a shipped agent from a finished run.
 
     python scripts/ship_agent.py <run folder> bbqn_map
 
@@ -63,7 +63,7 @@ def ship(run: Path, target: Path, replica: int = 0) -> None:
 
 
 def main() -> None:
-    """Ships the run that the command line names."""
+    """Ships the run given on the command line."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("run", type=Path, help="a finished run folder")
     parser.add_argument("name", help="of the shipped agent")

@@ -26,7 +26,7 @@ Block = Callable[[], str]
 
 
 def pages() -> list[Path]:
-    """Returns the pages that may hold blocks."""
+    """Returns the pages that may contain blocks."""
     return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 

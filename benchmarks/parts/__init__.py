@@ -1,1 +1,1 @@
-"""What the benchmarks share: the yardstick, the things measured, and how times are compared."""
+"""Shared parts of the benchmarks: the baseline, the measurements, and comparisons of times."""

@@ -1,8 +1,8 @@
-"""What an update and a turn cost at least: their work, at the machine's measured rates.
+"""Lower bounds of the times of an update and a turn: their work at the machine's measured rates.
 
-The work is counted for a 268-256-256-39 network and a batch of 32, in vectors of float32 that are
-read and written once in each step, as if every step were one pass. What could be left out by
-merging steps (a gradient that is never written, say) is not.
+The work is counted for a 268-256-256-39 network and a batch of 32. Each step reads and writes its
+float32 vectors once, as if it were a single pass. Savings from merging steps, such as a gradient
+that is never written, are not considered.
 """
 
 from __future__ import annotations
@@ -30,9 +30,9 @@ if TYPE_CHECKING:
 FLOAT, LOCKSTEP = 4, 1_000
 BLOCKS, BLOCK_SECONDS = 15, 0.02
 EPOCHS, UPDATES_PER_EPOCH = 2, 313
-"""A target is computed once for so many epochs; updates of 10,000 transitions."""
+"""Epochs for which a target is computed once; updates per epoch of 10,000 transitions."""
 POOL = 8
-"""Weight draws whose normal numbers an epoch's draws are windows of."""
+"""Weight draws in the pool of normal numbers; an epoch's draws are windows of it."""
 
 
 Work = Counter[str]
@@ -42,7 +42,7 @@ numbers), ``uniforms`` and ``functions`` (exponentials and logarithms)."""
 
 
 def least_seconds(work: Work, rates: Work) -> float:
-    """Returns what work takes at these rates, one thing after the other."""
+    """Returns the time of the work at these rates, without overlap."""
     return sum(count / rates[kind] for kind, count in work.items())
 
 
@@ -50,7 +50,7 @@ LAYERS = tuple(itertools.pairwise((FEATURES, *HIDDEN, ACTIONS)))
 WEIGHTS = sum(inputs * outputs for inputs, outputs in LAYERS)
 PARAMETERS = WEIGHTS + sum(outputs for _, outputs in LAYERS)
 VECTOR = FLOAT * PARAMETERS
-"""Bytes of a vector as long as the network has parameters."""
+"""Bytes of a vector of all parameters."""
 
 _BEHIND_FIRST = sum(inputs * outputs for inputs, outputs in LAYERS[1:])
 _PASS = 2.0 * BATCH * WEIGHTS
@@ -81,11 +81,11 @@ UPDATES = {
     "bbqn-map": _BBQN + _FIXED_TARGET,
     "bbqn-mc": _BBQN + _TARGET_DRAW + _FORWARD,
 }
-"""Agent -> the work of an update; the bare one has its batch ready, and two passes forward."""
+"""Agent -> the work of an update. The bare one has a ready batch and two forward passes."""
 
 
 def turn(env: DialogueEnv) -> Work:
-    """Returns the work of a dialogue's turn; counted on the simulator's own tensors."""
+    """Returns the work of a dialogue's turn, counted on the simulator's tensors."""
     simulator = env.simulator
     state = simulator.reset(simulator.draw_reset((1,)), env.active_slots)
     numbers = sum(entry.numel() for entry in simulator.draw_turn((1,)).values())
@@ -101,7 +101,7 @@ def turn(env: DialogueEnv) -> Work:
 
 
 def valid_share(env: DialogueEnv) -> float:
-    """Returns the share of a random policy's turns in lockstep that are before a dialogue's end."""
+    """Returns the share of a random policy's lockstep turns before the dialogues' ends."""
     env.set_seed(0)
     torch.manual_seed(0)
     return rollout(env, scripted_policy("random", env))["valid"].float().mean().item()
@@ -133,7 +133,7 @@ def rates() -> Work:
 
 
 def floor(sizes: Sizes) -> list[Row]:
-    """The least times, and that of the bare update, which runs in the same process."""
+    """Measures lower bounds, and the bare update in the same process."""
     measured, bare = rates(), bare_block(sizes.bare_updates)
     env = DialogueEnv(movie_domain(), batch_size=(LOCKSTEP,), seed=0)
     valid_turn = least_seconds(turn(env), measured) / valid_share(env)

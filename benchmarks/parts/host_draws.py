@@ -1,4 +1,4 @@
-"""Random numbers of any device drawn on the CPU, so that two devices can be compared."""
+"""Random numbers drawn on the CPU for any device, so that two devices can be compared."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ _CPU = torch.device("cpu")
 
 
 class DrawsOnTheHost(TorchDispatchMode):
-    """Draws every random number on the CPU and copies it to the device that asked for it.
+    """Draws every random number on the CPU and copies it to its device.
 
     A generator of another device is replaced by one of the CPU with the same seed, which starts
     again whenever the former is seeded anew. Without a generator it is torch's global one of the

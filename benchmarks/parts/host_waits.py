@@ -1,4 +1,4 @@
-"""What a CUDA device would be waited for, found on a CPU."""
+"""Detection, on a CPU, of operations that would wait for a CUDA device."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from bbq_torchrl.objectives import BBQNLoss
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
-# Operations whose result's shape or whose value the host has to know.
+# Operations whose result's shape or value the host needs.
 WAITING = {
     "aten::_local_scalar_dense",
     "aten::item",
@@ -37,11 +37,11 @@ BY_INDEX = {"aten::index", "aten::index_put", "aten::index_put_", "aten::_index_
 
 
 class HostWaitError(AssertionError):
-    """An operation that makes the host wait for a CUDA device."""
+    """An operation that would make the host wait for a CUDA device."""
 
 
 class NeverWaits(TorchDispatchMode):
-    """Refuses, on any device, every operation that makes the host wait for a CUDA device."""
+    """Refuses, on any device, operations that would make the host wait for a CUDA device."""
 
     def __torch_dispatch__(self, func, types, args=(), kwargs=None):
         name = func._schema.name
@@ -60,7 +60,7 @@ class NeverWaits(TorchDispatchMode):
 
 
 def _has_place(tensor: object) -> bool:
-    """Returns whether it matters where a tensor is: one number of a CPU is handed over by value."""
+    """Returns whether a tensor's device matters: single numbers on a CPU are passed by value."""
     return isinstance(tensor, torch.Tensor) and not (
         tensor.device.type == "cpu" and tensor.ndim == 0
     )

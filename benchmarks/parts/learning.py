@@ -1,4 +1,4 @@
-"""The learning of every agent as users run it: a trainer's own, on a full replay buffer."""
+"""The learning of every agent as users run it: by a trainer, on a full replay buffer."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ AGENTS: dict[str, tuple[str, ...]] = {
     "bbqn-vime-map": ("+experiment=agents/bbqn_vime_map",),
     "bbqn-vime-mc": ("+experiment=agents/bbqn_vime_mc",),
 }
-"""Name -> its overrides. DQN with Boltzmann exploration learns as DQN does."""
+"""Name -> overrides. DQN with Boltzmann exploration learns like DQN."""
 
 
 def full_trainer(
     overrides: Sequence[str], folder: Path, *, replicas: int, capacity: int
 ) -> RoundTrainer:
-    """Returns a trainer whose buffers are full of dialogues of a random policy, ready to train."""
+    """Returns a trainer, ready to train, with buffers full of a random policy's dialogues."""
     chosen = [*overrides, f"replicas={replicas}", f"protocol.capacity={capacity}", "spike=none"]
     trainer, _ = build_trainer(compose(chosen), folder)
     trainer.progress = False

@@ -1,4 +1,4 @@
-"""Checks and times of a device: the CPU's training again, host synchronizations, seconds."""
+"""Checks and times of a device: agreement with the CPU, host synchronizations, seconds."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.trainers import RoundTrainer
 
 ERROR = 1e-3
-"""Most that a loss of the first rounds may differ from the CPU's, as a share of it."""
+"""The largest relative difference of a loss in the first rounds from the CPU's."""
 
 
 class DeviceSizes(NamedTuple):
@@ -95,14 +95,14 @@ def _trained(device: str, sizes: DeviceSizes) -> list[dict[str, float]]:
     with tempfile.TemporaryDirectory() as folder:
         trainer, _ = build_trainer(compose([*sizes.compared, f"device={device}"]), Path(folder))
         trainer.progress = False
-        # A checkpoint maps files into memory, which a dispatch mode does not see through.
+        # A checkpoint maps files into memory, which a dispatch mode cannot follow.
         with DrawsOnTheHost(), patch.object(trainer.checkpoints, "save"):
             trainer.begin()
             return [row for _ in range(sizes.rounds) for row in trainer.train_round()]
 
 
 def host_waits(device: str, sizes: DeviceSizes) -> Iterator[Row]:
-    """Counts how often the host waits for the device, by torch's own check."""
+    """Counts how often the host waits for the device, by torch's check."""
     with tempfile.TemporaryDirectory() as folder:
         trainer, _ = build_trainer(compose([*sizes.compared, f"device={device}"]), Path(folder))
         trainer.progress = False
@@ -129,7 +129,7 @@ def _waits(work: Callable[[], object]) -> int:
 
 
 def turns(device: str, sizes: DeviceSizes) -> Iterator[Row]:
-    """Turns a second of the simulator, features included."""
+    """Turns per second of the simulator, including features."""
     for dialogues in sizes.dialogues:
         env = DialogueEnv(movie_domain(), batch_size=(dialogues,), seed=0, device=device)
         play = _finished(device, play_simulator(env))
@@ -140,7 +140,7 @@ def turns(device: str, sizes: DeviceSizes) -> Iterator[Row]:
 
 
 def updates(device: str, sizes: DeviceSizes) -> Iterator[Row]:
-    """Seconds of an update, all replicas together, beside bare ones on the same device."""
+    """Seconds of an update of all replicas, next to bare ones on the same device."""
     for batch in sizes.batches:
         base = _block(device, bare_update(batch, device), sizes.updates)
         for replicas in sizes.replicas:
@@ -166,8 +166,8 @@ def updates(device: str, sizes: DeviceSizes) -> Iterator[Row]:
 
 
 def _update(trainer: RoundTrainer, *, compiles: bool) -> Callable[[], object]:
-    """Returns an update of one and the same batch: loss, gradient, step."""
-    trainer.learner.learn(0)  # the loss is told how many data there are, and targets are computed
+    """Returns an update on a fixed batch: loss, gradient, step."""
+    trainer.learner.learn(0)  # sets the loss's number of data, and computes targets
     batch = trainer.replay.epoch(trainer.batch_size)[0]
     if not compiles:
         update = Update(trainer.loss, trainer.optimizer)
@@ -192,7 +192,7 @@ def _block(device: str, update: Callable[[], object], count: int) -> Callable[[]
 
 
 def _finished(device: str, work: Callable[[], object]) -> Callable[[], object]:
-    """Returns the same work, which ends when the device is done with it."""
+    """Returns the same work, which ends when the device has finished."""
     if torch.device(device).type != "cuda":
         return work
 
@@ -206,7 +206,7 @@ def _finished(device: str, work: Callable[[], object]) -> Callable[[], object]:
 
 
 def whole_run(device: str, sizes: DeviceSizes) -> Iterator[Row]:
-    """Seconds of a whole run, start and evaluation included, and what it books."""
+    """Seconds of a whole run, including start and evaluation, and its success."""
     with tempfile.TemporaryDirectory() as folder:
         run = Path(folder) / "run"
         arguments = (*sizes.run, f"device={device}", f"hydra.run.dir={run}")

@@ -1,4 +1,4 @@
-"""Commands in processes of their own: how long they take and how much memory."""
+"""Time and memory of commands in separate processes."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ ROOT = Path(__file__).resolve().parents[2]
 
 
 class Used(NamedTuple):
-    """What a process used.
+    """The time and memory of a process.
 
     Attributes:
         wall: seconds from its start to its end.
@@ -64,7 +64,7 @@ MEMORY_GB, HELP_SECONDS = 1.5, 6
 
 
 def process(sizes: Sizes) -> list[Row]:
-    """The most memory of a run with full buffers; the time until help is shown."""
+    """The peak memory of a run with full buffers; the time until help is shown."""
     overrides = ("agent=bbqn", "env=full", *sizes.memory, *sizes.overrides)
     protocol = ("spike.protect=false", f"protocol.eval_dialogues={sizes.eval_dialogues}")
     with TemporaryDirectory() as folder:

@@ -1,4 +1,4 @@
-"""How much of a round of ``agent=bbqn env=full`` goes elsewhere than into simulator and updates."""
+"""The share of a round of ``agent=bbqn env=full`` outside simulator and updates."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ if TYPE_CHECKING:
     from benchmarks.parts.sizes import Sizes
 
 PERCENT, ROUNDS = 5, 400
-"""Most that may go elsewhere than into simulator and updates; rounds of a whole run."""
+"""The largest share outside simulator and updates; rounds of a whole run."""
 
 
 def watched_round(trainer: RoundTrainer) -> tuple[float, float]:
-    """Trains one round. Returns its seconds, and those that are neither simulator nor updates.
+    """Trains one round. Returns its seconds, and those outside simulator and updates.
 
     The simulator's are those of playing, with the policy's. Updates are what is done to a batch
     (loss, gradient, Adam) and the targets that are computed beforehand for many of them. The rest
@@ -41,7 +41,7 @@ def watched_round(trainer: RoundTrainer) -> tuple[float, float]:
 
 
 def rounds(sizes: Sizes) -> list[Row]:
-    """Shares of a round, and of a whole run, outside of simulator and updates."""
+    """Shares of a round, and of a whole run, outside simulator and updates."""
     overrides = ("agent=bbqn", "env=full", *sizes.overrides)
     with tempfile.TemporaryDirectory() as folder:
         started = perf_counter()
@@ -53,7 +53,7 @@ def rounds(sizes: Sizes) -> list[Row]:
         save = seconds(lambda: trainer.checkpoints.save(0, {}, name="timed"))
     share = save / trainer.checkpoint_every
     whole, outside = (median(took) + share for took in zip(*found, strict=True))
-    # The start is what a process does before its first round, and the first round's compilation.
+    # The start is everything before the first round, and the compilation in it.
     start += processes.python("-c", "import bbq_torchrl.runs.train").wall - whole
     of_run = (start + ROUNDS * outside) / (start + ROUNDS * whole)
     what = "agent=bbqn env=full, a round with a full buffer"

@@ -1,4 +1,4 @@
-"""Rows of the comparison: what was measured, beside what it is to reach."""
+"""Rows of the comparison: measurements next to targets."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ class Row:
 
     @property
     def reached(self) -> bool | None:
-        """Whether the target is reached; None if there is none."""
+        """Whether the target is reached; None without a target."""
         if self.target is None:
             return None
         if self.better == "higher":
@@ -63,7 +63,7 @@ def as_table(rows: Sequence[Row]) -> str:
 
 
 def number(value: float) -> str:
-    """Returns a figure with three digits, or all before the point.
+    """Formats a figure with three digits, or all before the point.
 
     Examples:
         >>> number(1234.5), number(0.98765)
@@ -73,7 +73,7 @@ def number(value: float) -> str:
 
 
 def read(file: Path) -> dict[str, list[Row]]:
-    """Returns the rows of every version in a CSV file, the oldest version first."""
+    """Returns the rows of every version in a CSV file, oldest version first."""
     found: dict[str, list[Row]] = {}
     with file.open(newline="", encoding="utf-8") as opened:
         for line in csv.DictReader(opened):
@@ -85,7 +85,7 @@ def read(file: Path) -> dict[str, list[Row]]:
 
 
 def keep(file: Path, version: str, rows: Sequence[Row]) -> None:
-    """Writes rows as a version's, in the place of what it had of the same parts."""
+    """Writes rows of a version, replacing its rows of the same parts."""
     versions = read(file) if file.is_file() else {}
     measured = {row.part for row in rows}
     versions[version] = [r for r in versions.get(version, []) if r.part not in measured] + [*rows]

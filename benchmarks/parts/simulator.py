@@ -1,4 +1,4 @@
-"""Turns a second on the simulator alone."""
+"""Turns per second of the simulator alone."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 TURNS = (15_000, 80_000, 100_000)
 PUBLIC = {"random": (411, 100), "rule": (1_560, 40)}
-"""Policy -> the public simulator's turns a second on one core under errors, and times to reach."""
+"""Policy -> the public simulator's turns per second on one core, and the target factor."""
 
 
 def play_simulator(env: DialogueEnv, policy: str = "random") -> Callable[[], int]:
@@ -57,7 +57,7 @@ def play_simulator(env: DialogueEnv, policy: str = "random") -> Callable[[], int
 
 
 def simulator(sizes: Sizes) -> list[Row]:
-    """Turns a second, features included, and how many times the public simulator's."""
+    """Turns per second, including features, and their ratio to the public simulator's."""
     rows = [
         Row(
             "simulator",

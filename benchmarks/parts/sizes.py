@@ -1,4 +1,4 @@
-"""How much of everything a comparison measures."""
+"""The sizes of a comparison."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 
 class Sizes(NamedTuple):
-    """The sizes that the figures are published for.
+    """The sizes of the published figures.
 
     Attributes:
         dialogues: played in parallel, for each of the targets.
@@ -58,4 +58,4 @@ TINY = Sizes(
     ),
     overrides=("protocol.dialogues=6",),
 )
-"""Runs every line in seconds; its figures mean nothing."""
+"""Sizes that run every line in seconds; the figures are meaningless."""

@@ -1,4 +1,4 @@
-"""How long a user waits for an agent that books tickets, in seconds of one core."""
+"""The time until an agent books tickets, in seconds of one core."""
 
 from __future__ import annotations
 
@@ -21,14 +21,14 @@ if TYPE_CHECKING:
     from benchmarks.parts.sizes import Sizes
 
 LEVEL = 0.6
-"""Success rate that an evaluation while training is to reach."""
+"""The success rate to reach in an evaluation during training."""
 
 SECONDS = 60
-"""What it may take at most."""
+"""The limit of seconds."""
 
 
 class Learned(NamedTuple):
-    """How one training went.
+    """The result of a training.
 
     Attributes:
         seconds: of processor time until the level was reached, or until training ended.
@@ -61,7 +61,7 @@ def time_to_learn(sizes: Sizes) -> list[Row]:
 
 
 def train(overrides: Sequence[str], rounds: int) -> Learned:
-    """Trains one replica until it reaches the level, at most so many rounds."""
+    """Trains one replica until it reaches the level, up to a number of rounds."""
     started = process_time()
     with tempfile.TemporaryDirectory() as folder:
         trainer, _ = build_trainer(compose(overrides), Path(folder) / "run")
@@ -69,13 +69,13 @@ def train(overrides: Sequence[str], rounds: int) -> Learned:
         done, is_reached = 0, False
         while done < rounds and not is_reached:
             (row,) = trainer.train_round()
-            # NaN, in a round without an evaluation, is not above anything.
+            # NaN, in a round without an evaluation, compares as False.
             done, is_reached = done + 1, row["eval_success_rate"] >= LEVEL
         return Learned(process_time() - started, is_reached, done)
 
 
 def _row(name: str, learned: Sequence[Learned], start: float) -> Row:
-    """Returns the median; of seeds that did not reach the level it is only known what they took."""
+    """Returns the median, with lower bounds for seeds that did not reach the level."""
     reached = sum(item.is_reached for item in learned)
     median = median_low(item.seconds if item.is_reached else math.inf for item in learned)
     is_bound = math.isinf(median)

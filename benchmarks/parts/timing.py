@@ -1,4 +1,4 @@
-"""Times that other work on the machine disturbs little: short blocks in turn, medians of ratios."""
+"""Times that are robust to other load: short alternating blocks, medians of ratios."""
 
 from __future__ import annotations
 
@@ -17,11 +17,11 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
 
     Block = Callable[[], float]
-    """Does some work once and returns the seconds that a unit of it took."""
+    """Does some work once and returns the seconds per unit."""
 
 
 class Comparison(NamedTuple):
-    """A block of work beside another one, in one run.
+    """A block of work compared with another one in the same run.
 
     Attributes:
         seconds: median time of a unit of it.
@@ -40,7 +40,7 @@ def seconds(work: Callable[[], object]) -> float:
 
 
 def interleaved(base: Block, candidate: Block, repeats: int) -> Comparison:
-    """Runs base, candidate, base, candidate, ..., base, so that a slow spell hits both.
+    """Runs base, candidate, base, candidate, ..., base, so that a slow period affects both.
 
     Args:
         base: what the candidate is compared with.
@@ -73,7 +73,7 @@ def stopwatch(owner: object, name: str) -> Iterator[list[float]]:
 
 
 def one_thread() -> None:
-    """Has a process measure as a run works: on one thread, keeping its memory, without a word."""
+    """Prepares a process as for a run: one thread, memory kept by the allocator, no messages."""
     torch.set_num_threads(1)
     keep_freed_memory()
-    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it tells of every storage
+    logging.getLogger("torchrl").setLevel(logging.WARNING)  # it logs every storage

@@ -1,4 +1,4 @@
-"""An update of every agent as users run it, beside the yardstick; and of agents beside others."""
+"""Updates of every agent as users run it, relative to the baseline, and of agents to each other."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ if TYPE_CHECKING:
     from benchmarks.parts.sizes import Sizes
 
 TARGETS = {"dqn": (1.35, 0.9), "bbqn-map": (2.1, 1.75), "bbqn-mc": (2.6, 2.1)}
-"""Agent -> bare updates that its update may take: of one network, of each of many."""
+"""Agent -> limit of its update in bare updates, with one network and with many."""
 
 VIME_PERCENT, BOOTSTRAP = 40, 4
-"""Most that VIME may add to storing and learning; DQN updates that one with ten heads may take."""
+"""Limits: VIME's addition to storing and learning; an update of ten heads in DQN updates."""
 
 
 def update(sizes: Sizes) -> list[Row]:
-    """The paper's agents, sampling included, one network and many: a row of each network's time."""
+    """The paper's agents, including sampling, with one network and with many: a row for each."""
     return [
         row
         for place, (replicas, capacity) in enumerate(((1, sizes.capacity), sizes.many))
@@ -67,7 +67,7 @@ def _update(
 
 
 def _beside(base: str, name: str, sizes: Sizes, **options: Any) -> float:
-    """Returns the ratio of two agents' learning, in turn."""
+    """Returns the ratio of two agents' learning times, measured alternately."""
     with tempfile.TemporaryDirectory() as folder:
         blocks = [
             learning_block(

@@ -1,4 +1,4 @@
-"""The yardstick: a bare DQN update written by hand, below which no machinery can be."""
+"""The baseline: a bare hand-written DQN update, a lower bound for every implementation."""
 
 from __future__ import annotations
 

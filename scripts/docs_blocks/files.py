@@ -47,7 +47,7 @@ def _simulated() -> str:
 
 @block("chat.control")
 def _control() -> str:
-    """Returns the table of what the rules of the dialogue control cost in the simulator."""
+    """Returns the table of the costs of the dialogue control's rules in the simulator."""
     with (RESULTS / "control.csv").open(encoding="utf-8", newline="") as file:
         rows = [
             (

@@ -1,4 +1,4 @@
-"""The rooms of the package, their layers and arrows: the table and the picture of docs/house.md."""
+"""The rooms of the package, their layers and imports: the table and picture of docs/house.md."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from scripts.docs_blocks.common import FIGURES, ROOT, block, code, table
 PACKAGE = "bbq_torchrl"
 FIGURE = FIGURES / "house.svg"
 
-_ALONE = (0.22, 0.5, 0.78)  # where a room that is alone in its layer stands, so that arrows pass
+_ALONE = (0.22, 0.5, 0.78)  # positions of a room that is alone in its layer, so that arrows pass
 _BOX = {"boxstyle": "round", "facecolor": "white", "edgecolor": "#455a64"}
 _ARROW = {"arrowstyle": "->", "mutation_scale": 10, "color": "#78909c"}
 _CURVE = [Path.MOVETO, *[Path.CURVE4] * 3]

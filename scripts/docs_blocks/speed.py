@@ -20,14 +20,14 @@ FLOOR = {
     },
     "a valid turn": "simulator, 1,000 dialogues in parallel",
 }
-"""What has a least time -> the row of what it takes."""
+"""Lower bound -> the row of the measured time."""
 
 _TO_US = {"ms": lambda value: 1e3 * value, "µs": float, "turns/s": lambda value: 1e6 / value}
-"""Unit -> what makes microseconds of it."""
+"""Unit -> factor to microseconds."""
 
 
 _SHOWN = {"update", "time_to_learn"}
-"""Parts of the comparison whose limits the page shows; of the others it says how many are met."""
+"""Parts of the comparison with limits on the page, which only counts the met limits of others."""
 
 
 @block("speed")
@@ -46,7 +46,7 @@ def _costs() -> str:
 
 @block("speed.floor")
 def _floor() -> str:
-    """Returns least and measured times."""
+    """Returns lower bounds and measured times."""
     *_, rows = read(RESULTS / "speed.csv").values()
     took = {row.what: _TO_US[row.unit](row.measured) for row in rows if row.unit in _TO_US}
     pairs = [(what, took[f"least time of {what}"], took[row]) for what, row in FLOOR.items()]

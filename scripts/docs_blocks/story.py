@@ -66,7 +66,7 @@ def _finals(names: Iterable[str]) -> list[list[float]]:
 
 @block("results.early")
 def _early() -> str:
-    """Returns how BBQN-MAP does in its first dialogues."""
+    """Returns the sentence on BBQN-MAP's success in its first dialogues."""
     soft = _soft("DQN-Boltzmann", "early")
     return (
         f"Of its first {pairs.EARLY:,} training dialogues BBQN-MAP books less than DQN-Boltzmann: "
@@ -78,7 +78,7 @@ def _early() -> str:
 
 @block("results.story")
 def _story() -> str:
-    """Returns the claims as Markdown: what contradicts the paper or us first."""
+    """Returns the claims as Markdown, contradictions of the paper or of us first."""
     scripted = measured()["movie", "reference", "repair"]["success_rate"]
     trained = _finals(table1.PAPER["full"])
     bbqn = _finals(name for name in table1.PAPER["full"] if name.startswith("BBQN"))

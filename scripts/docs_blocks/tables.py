@@ -1,4 +1,4 @@
-"""Tables of what was measured, from CSV and JSON files in results/."""
+"""Tables of measurements, from CSV and JSON files in results/."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def _rate(result: dict[str, Any], digits: int = 3) -> str:
 
 @block("adversary")
 def _adversary() -> str:
-    """Returns what was done to runs, and what became of them."""
+    """Returns the disturbances of runs, and their outcomes."""
     found = read_json("adversary.json")
     rows = [(*name.split(": ", 1), times) for name, times in found["outcomes"].items()]
     shown = table(("tried", "what came of it", "times"), rows, numbers=1)
@@ -38,7 +38,7 @@ def _adversary() -> str:
 
 @block("learning.plateau")
 def _plateau() -> str:
-    """Returns the median over seeds of what is predicted, a line for each start."""
+    """Returns the median prediction over seeds, a line for each initial posterior."""
     values = defaultdict(list)
     for line in read_csv("plateau.csv"):
         values[line["start"], f"{int(line['updates']):,}"].append(float(line["q_value"]))
@@ -83,7 +83,7 @@ def _tried(file: str, end: str, name: str) -> str:
 
 @block("results.tandem", "bbqn_map_dqn", "dqn_dqn", "dqn_bbqn_map")
 def _tandem(*files: str) -> str:
-    """Returns the success in evaluations of who learns from another one's dialogues.
+    """Returns the success of agents that learn from another agent's dialogues.
 
     Args:
         files: of ``examples/tandem.py``; whoever is passive in one is active in another.
@@ -113,7 +113,7 @@ def _tandem(*files: str) -> str:
 
 @block("language.quality")
 def _quality() -> str:
-    """Returns how well the language layer understands, beside what it was to reach."""
+    """Returns the accuracy of the language layer, next to its targets."""
     found = read_json("language.json")
     sets = {"first": "free", "second": "second_held_out", "third": "third_held_out"}
     columns = {f"{name} {found[key]['sentences']}": found[key] for name, key in sets.items()}
@@ -136,7 +136,7 @@ def _voices() -> str:
 
 @block("language.new_hands")
 def _new_hands() -> str:
-    """Returns what is understood of hands that nothing was learned of."""
+    """Returns the nlu's accuracy on writers left out of its training."""
     names = {"frame": "frame", "slot_f1": "slot F1", "act": "act", "answered": "answered"}
     names |= {"right_of_answered": "right of these", "calibration_error": "calibration error"}
     names |= {"calibration_floor": "by chance"}
@@ -162,7 +162,7 @@ def _ladder() -> str:
 
 @block("language.trained")
 def _trained() -> str:
-    """Returns what training on counted errors gives on each rung, by pairs of replicas."""
+    """Returns the effect of training on measured errors on each rung, by pairs of replicas."""
     rates: dict[str, dict[str, list[float]]] = {}
     for entry in read_json("trained_on_errors.json"):
         of_rung = rates.setdefault(entry["rung"], {})
@@ -178,7 +178,7 @@ def _trained() -> str:
 
 @block("shipped")
 def _shipped() -> str:
-    """Returns the agents that come with the package, what made them, and what they reach."""
+    """Returns the shipped agents, their commands and their success."""
     results = {name: read_result(SHIPPED / name) for name in shipped_agents()}
     rows = [
         (code(f"{PREFIX}{name}"), code(command(SHIPPED / name)), one.rounds, _rate(vars(one)))
@@ -188,7 +188,7 @@ def _shipped() -> str:
 
 
 def measured() -> dict[tuple[str, str, str], dict[str, Any]]:
-    """Returns what policies that do not learn reach: (corpus, setting, policy) -> the figures."""
+    """Returns the results of policies that do not learn: (corpus, setting, policy) -> figures."""
     return {
         (entry["corpus"], entry["setting"], entry["policy"]): entry["result"]
         for entry in read_json("policies.json")
@@ -197,7 +197,7 @@ def measured() -> dict[tuple[str, str, str], dict[str, Any]]:
 
 @block("policies.reference")
 def _reference() -> str:
-    """Returns what every policy reaches in the reference setting of both corpora."""
+    """Returns every policy's success in the reference setting of both corpora."""
     return pivot(
         "policy",
         {
@@ -211,7 +211,7 @@ def _reference() -> str:
 
 @block("policies.comparison")
 def _comparison() -> str:
-    """Returns our simulator beside the public one on the public corpus."""
+    """Returns our simulator next to the public one on the public corpus."""
     rows = []
     for line in read_csv("public_simulator.csv"):
         theirs = {key: float(line[key]) for key in ("success_rate", "standard_error")}

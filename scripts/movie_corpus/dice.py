@@ -1,4 +1,4 @@
-"""Random choices that anybody can repeat."""
+"""Reproducible random choices."""
 
 from __future__ import annotations
 

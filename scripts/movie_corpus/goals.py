@@ -12,8 +12,8 @@ if TYPE_CHECKING:
     from scripts.movie_corpus.dice import Dice
     from scripts.movie_corpus.records import Record
 
-# What goals request besides the ticket, and how many goals request just that. Of moviename,
-# theater, starttime and date each goal constrains those that it does not request.
+# Requests besides the ticket, and the number of goals with exactly these. Of moviename, theater,
+# starttime and date each goal constrains those that it does not request.
 REQUESTS = {
     (): 62,
     ("theater",): 11,
@@ -79,7 +79,7 @@ class GoalWriter:
         return {"numberofpeople": people} | {slot: record[slot] for slot in slots}
 
     def _candidates(self, slots: Sequence[str]) -> list[Record]:
-        """Returns a record of each session that holds all the slots, in a random order."""
+        """Returns a record of each session that has all the slots, in a random order."""
         held = [[r for r in records if set(slots) <= set(r)] for records in self.sessions]
         return self.dice.shuffle([self.dice.pick(records) for records in held if records])
 
@@ -89,7 +89,7 @@ class GoalWriter:
         return Goal(self._constraints(record, slots), tuple(requests))
 
     def unanswerable(self, slots: Sequence[str], requests: Sequence[str]) -> Goal | None:
-        """Returns a goal that records meet, none of which holds all that is requested."""
+        """Returns a goal that records meet, but that none of them answers completely."""
         for record in self._candidates(slots):
             constraints = self._constraints(record, slots)
             if not self._answerable(constraints, requests):
@@ -97,7 +97,7 @@ class GoalWriter:
         return None
 
     def unmet(self, slots: Sequence[str], requests: Sequence[str]) -> Goal:
-        """Returns a goal in which one value keeps every record from meeting it."""
+        """Returns a goal that no record meets because of one value."""
         constraints = self._constraints(self._candidates(slots)[0], slots)
         while self._matching(constraints):
             slot = self.dice.pick([slot for slot in slots if slot in self.values])
@@ -107,7 +107,7 @@ class GoalWriter:
     def _deal_extras(
         self, patterns: Sequence[tuple[str, ...]], extras: Mapping[str, int]
     ) -> list[set[str]]:
-        """Returns each goal's further constraints, dealt out as evenly as their number allows."""
+        """Returns each goal's further constraints, distributed as evenly as possible."""
         dealt: list[set[str]] = [set() for _ in patterns]
         tokens = self.dice.shuffle([slot for slot, count in extras.items() for _ in range(count)])
         for token in tokens:

@@ -41,12 +41,12 @@ SHARES = {
     "actress": 0.01,
 }
 
-# A session's records have its slots, but each record keeps those outside ALWAYS_KEPT with
-# probability KEEP only.
+# A session's records have its slots, but each record keeps those outside ALWAYS_KEPT only with
+# probability KEEP.
 ALWAYS_KEPT = ("moviename", "theater", "date", "starttime", "city")
 KEEP = 0.75
 
-# How much more some sessions tell than others; at 0 every session would tell as much.
+# The variation of the number of slots between sessions; at 0 all sessions would have equally many.
 TALK = 0.8
 
 # Share of the records of which only one to three slots are known, and what share of their slots
@@ -59,7 +59,7 @@ MOST_SLOTS = 11
 
 @dataclass
 class Session:
-    """A few showings that were spoken of together.
+    """A few showings that belong to one conversation.
 
     Args:
         size: number of records.
@@ -195,7 +195,7 @@ class RecordWriter:
         return kept[:MOST_SLOTS]
 
     def _next_theaters(self, city: str, count: int) -> list[tuple[str, str]]:
-        """Returns theaters of the city in turn, so that none stays unnamed for long."""
+        """Returns theaters of the city in turn, so that all are used."""
         turn = self.theaters[city]
         self.theaters[city] = turn[count:] + turn[:count]
         return turn[:count]
@@ -213,7 +213,7 @@ class RecordWriter:
 
 
 def make_values(writer: RecordWriter) -> dict[str, list[str]]:
-    """Returns slot to the values that people and machines may hear in its place."""
+    """Returns, for each slot, the values that people and machines may hear instead."""
     facts = writer.facts
     films = facts["films"].values()
     cities = facts["cities"].items()
