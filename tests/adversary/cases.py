@@ -1,8 +1,8 @@
-"""What is tried, and how often.
+"""The cases of the adversary tests, and their counts.
 
-The environment has the counts, ``BBQ_KILLS`` (10), ``BBQ_DAMAGES`` (50) and ``BBQ_INPUTS`` (45
-damaged folders of the table of bad inputs), and ``BBQ_SEED``, the seed of all moments, damages and
-choices: where it is not given, another one in every run, which is printed where a test fails.
+Environment variables set the counts, ``BBQ_KILLS`` (10), ``BBQ_DAMAGES`` (50) and ``BBQ_INPUTS``
+(45 damaged folders of the table of bad inputs), and ``BBQ_SEED``, the seed of all moments, damages
+and choices. By default every run has a new seed, which is printed when a test fails.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Runs the commands in children of this process, which may be stopped and killed."""
+"""Commands in child processes, which tests can stop and kill."""
 
 from __future__ import annotations
 
@@ -23,12 +23,12 @@ PROGRAMS = {
     "domains": "bbq_torchrl.calibrate",
     "report": "bbq_torchrl.evaluation.report",
 }
-"""Command -> the module whose main function it is."""
+"""Command -> the module of its main function."""
 
 
 @dataclass
 class Ended:
-    """How a command ended.
+    """The outcome of a command.
 
     Attributes:
         code: its exit code; negative: the signal that killed it.
@@ -47,7 +47,7 @@ class Ended:
 
     @property
     def line(self) -> str:
-        """The one line that it ended by."""
+        """The line that it ended with."""
         assert self.err.count("\n") == 1, self.err
         return self.err.strip()
 
@@ -60,7 +60,7 @@ class Command:
         self._files = files
 
     def send(self, number: int) -> None:
-        """Sends it a signal; one that is over and not waited for takes it without harm."""
+        """Sends the process a signal, which has no effect after its end."""
         os.kill(self.pid, number)
 
     def end(self) -> Ended:
@@ -70,23 +70,23 @@ class Command:
         return Ended(os.waitstatus_to_exitcode(status), *written, used.ru_utime + used.ru_stime)
 
     def works_in(self, folder: Path) -> bool:
-        """Whether it holds the lock of a run folder."""
+        """Whether the process has the lock of a run folder."""
         process = Path(f"/proc/{self.pid}")
         return any(
-            # A file that is open is not locked yet.
+            # An open file is not locked yet.
             os.path.realpath(link) == os.fspath(folder / ".lock")
             and "FLOCK" in (process / "fdinfo" / link.name).read_text()
             for link in (process / "fd").iterdir()
         )
 
     def until(self, is_so: Callable[[], object]) -> None:
-        """Waits until something is so, which must come before its end."""
+        """Waits for a condition, which must become true before the process ends."""
         while not is_so():
             assert not self._is_over(), self.end()
             time.sleep(0.005)
 
     def work(self, seconds: float) -> None:
-        """Lets it work for so many seconds of processor time, or to its end."""
+        """Lets the process work for a number of seconds of processor time, or to its end."""
         ticks = seconds * os.sysconf("SC_CLK_TCK")
         while not self._is_over():
             if sum(int(number) for number in self._fields()[11:13]) >= ticks:
@@ -97,7 +97,7 @@ class Command:
         return self._fields()[0] == "Z"
 
     def _fields(self) -> list[str]:
-        """What the kernel says of the process, from its state on."""
+        """The kernel's status of the process, from its state on."""
         return Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
 
 
@@ -136,7 +136,7 @@ class Commands:
         return ended
 
     def kill(self, program: str, *arguments: str, number: int, after: float) -> Ended:
-        """Starts a command and sends it a signal after so many seconds of processor time."""
+        """Starts a command and sends it a signal after a number of seconds of processor time."""
         command = self.start(program, *arguments)
         command.work(after)
         command.send(number)

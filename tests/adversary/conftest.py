@@ -1,4 +1,4 @@
-"""Processes to harm, runs that nothing happened to, and the count of what was tried.
+"""Processes to harm, undisturbed runs, and the counts of attempts.
 
 ``BBQ_RECORD=<file>`` has the counts written, as JSON, once everything has passed. Test files that
 are run one after the other, each with the same numbers, add to one record.
@@ -20,11 +20,11 @@ from .commands import Commands
 from .folders import Reference
 
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
-    # A shell has its background commands ignore Ctrl-C, and they hand that on to their processes.
+    # Background commands of a shell ignore Ctrl-C, and their child processes inherit that.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 OUTCOMES: Counter[str] = Counter()
-"""``<what was tried>: <what came of it>`` -> how often, in the tests that passed."""
+"""``<attempt>: <outcome>`` -> its count in the tests that passed."""
 
 
 def pytest_runtest_logreport(report):
@@ -59,7 +59,7 @@ def rng(request) -> random.Random:
 
 @pytest.fixture(scope="session")
 def references(commands):
-    """Makes, once for each configuration, a run that nothing happened to."""
+    """Makes, once for each configuration, an undisturbed run."""
     made: dict[str, Reference] = {}
 
     def of(name: str) -> Reference:

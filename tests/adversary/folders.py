@@ -1,4 +1,4 @@
-"""What run folders have in common: metrics, weights and buffers, to the last bit."""
+"""Comparison of run folders: metrics, weights and buffers, bit by bit."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Reference:
-    """A run that nothing happened to.
+    """An undisturbed run.
 
     Attributes:
         folder: its run folder.
@@ -29,7 +29,7 @@ class Reference:
 
 
 def state(folder: Path) -> dict[str, int]:
-    """Checksums of all that the newest checkpoint holds but the metrics, which have times."""
+    """Checksums of the newest checkpoint's content, without the metrics, which have times."""
     newest = max((folder / "checkpoint").glob("round-*.torchrl"))
     with zipfile.ZipFile(newest) as archive:
         parts = {
@@ -50,7 +50,7 @@ def result(folder: Path) -> dict[str, object]:
 
 
 def assert_same(folder: Path, reference: Path) -> None:
-    """The run has ended, and as the reference did."""
+    """Asserts that the run has ended with the reference's results."""
     assert rows(folder / "metrics.csv") == rows(reference / "metrics.csv")
     assert state(folder) == state(reference)
     assert result(folder) == result(reference)

@@ -1,8 +1,7 @@
-"""What cannot be done is refused in one short sentence, and nothing is left in the way.
+"""Bad input is refused in one short sentence, and leaves no files behind.
 
-The table ``bad_input.yaml`` says by which command, what was done to its folder before, and what
-must stand in the sentence. All rows without damage are tried in every run of the tests, a sample of
-the others where it is asked for.
+A row of the table ``bad_input.yaml`` has the command, the damage to its folder, and a part of the
+sentence. All rows without damage are tested, and a sample of the others.
 """
 
 from __future__ import annotations
@@ -29,10 +28,10 @@ TABLE = yaml.safe_load((Path(__file__).parent / "bad_input.yaml").read_text(enco
 PLAIN = [row for row in TABLE if "damage" not in row]
 DAMAGED = [row for row in TABLE if "damage" in row]
 LONG = {"<long>": "x" * 2_000_000, "<deep>": "[" * 50_000, "<digits>": "9" * 5_000}
-"""What is too long for a table."""
+"""Texts that are too long for the table."""
 
 LONGEST = 1_500
-"""Characters of a message, which may name everything that is allowed."""
+"""Limit on the characters of a message, which may list everything that is allowed."""
 
 LOCKS = (".lock", ".search.lock")
 
@@ -52,7 +51,7 @@ RUN = (
 
 @pytest.fixture(scope="module")
 def undamaged(tmp_path_factory):
-    """A working directory with a domain, a finished run that can go on, and so on."""
+    """A working directory with a domain, a finished run that can be resumed, and so on."""
     folder = tmp_path_factory.mktemp("undamaged") / "place"
     (folder / "taken").mkdir(parents=True)
     (folder / "afile").write_text("a file\n")
@@ -66,7 +65,7 @@ def undamaged(tmp_path_factory):
 
 @pytest.fixture
 def place(tmp_path, undamaged):
-    """Makes a working directory of a test's own, then damages what is in it."""
+    """Makes a separate working directory for a test, and damages its content."""
 
     def made(damage):
         folder = shutil.copytree(undamaged, tmp_path / "place")
@@ -89,7 +88,7 @@ def paths(folder):
 
 
 def left_in(folder, before):
-    """What is there that was not, but for locks and the folders that hold nothing else."""
+    """The new files and folders, except for locks and folders that contain nothing else."""
     new = paths(folder) - before
     locks = {path for path in new if path.name in LOCKS}
     return new - locks - {parent for path in locks for parent in path.parents}
@@ -111,7 +110,7 @@ def refuse(row, folder):
     assert " ".join(row["says"].split()) in message, err
     assert len(err) < LONGEST
     first, *rest = err.splitlines()
-    if first.startswith("usage: "):  # argparse's own
+    if first.startswith("usage: "):  # from argparse
         assert rest[-1].partition(": ")[2].startswith("error: ")
     else:
         assert first.startswith("error: ")

@@ -1,4 +1,4 @@
-"""Whatever happens to a checkpoint's bytes: no code, no traceback, and never other weights."""
+"""Damaged checkpoints: they run no code, show no traceback, and never load other weights."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def replace(content, rng):
 
 
 BYTES = (cut, flip, zero, insert, append, replace)
-"""Damages of a disk: what is restored then is what was saved, or the checkpoint before it."""
+"""Damages of a disk: the saved state is restored, or the checkpoint before it."""
 
 
 def leave_out(members, rng):
@@ -75,7 +75,7 @@ VALUES = (None, -1, 0, 1e308, 10**30, "", "x", [], [[]], {}, {"kind": "path", "v
 
 
 def change_json(members, rng):
-    """Puts something else in the place of one value of the JSON of an archive."""
+    """Replaces one value in the JSON of an archive."""
     name = rng.choice([item for item in sorted(members) if item.endswith(".json")])
     tree = json.loads(members[name])
     node = tree
@@ -94,7 +94,7 @@ def nest(members, rng):
 
 
 FORGERIES = (leave_out, swap, add, shorten, change_json, change_json, change_json, nest)
-"""What somebody can do who rights the checksums."""
+"""Damages by somebody who corrects the checksums."""
 
 
 @pytest.fixture(scope="module")
@@ -110,7 +110,7 @@ def trainer(run, tmp_path_factory):
 
 
 def restored(trainer, folder):
-    """The checkpoint that is gone on from, and sums of what it was restored to; None if refused."""
+    """The checkpoint resumed from, and checksums of the restored state; None if refused."""
     built, described = trainer
     built.checkpoints.folder = folder
     try:

@@ -1,4 +1,4 @@
-"""A disk that is full or read-only ends a run in a sentence, and the run goes on once it is not."""
+"""A full or read-only disk ends a run with a sentence, and the run can be resumed later."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ NAME = "bbqn"
 
 @pytest.fixture(scope="module")
 def disk(tmp_path_factory):
-    """Runs a shell script that may mount: as root of a namespace of its own, as anyone may be."""
+    """Runs a shell script that can mount, as root of a new user namespace."""
     unshare = ["unshare", "--map-root-user", "--mount"]
     probe = "mount -t tmpfs -o size=1m none /mnt"
     if shutil.which("unshare") is None:

@@ -1,4 +1,4 @@
-"""Killed at any moment, again and again, every training ends as one that was not."""
+"""Trainings killed repeatedly at any moment end like undisturbed ones."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ SHARE = {name: -(-(KILLS - number) // len(NAMES)) for number, name in enumerate(
 
 
 def go_on(folder, new):
-    """The command that goes on with what is in a folder, if anything is."""
+    """The command that resumes the run in a folder, or starts it."""
     return (f"resume={folder}",) if (folder / "config.yaml").exists() else new
 
 
@@ -43,7 +43,7 @@ def test_a_run_that_is_killed_ends_the_same(commands, references, rng, record_pr
             if kills >= SHARE[name]:
                 ended = commands.start("train", *go_on(folder, new)).end()
                 break
-        # It was killed between its last file and its end, or it has ended by itself.
+        # The process was killed after its last file, or has ended by itself.
         assert ended.code == 0 or "is finished" in ended.line
         assert_same(folder, reference.folder)
     record_property("kill -9 in a training: resumed to the same, bit for bit", kills)

@@ -1,4 +1,4 @@
-"""Standard output and standard error that cannot be written: no traceback, a fitting exit code."""
+"""Unwritable standard output and standard error: no traceback, the right exit code."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ctrl-C and SIGTERM at any moment: one line, the right exit code, and the run goes on after it."""
+"""Ctrl-C and SIGTERM at any moment: one line, the right exit code, and a resumable run."""
 
 from __future__ import annotations
 
@@ -88,7 +88,7 @@ def test_an_evaluation_and_a_search_end_in_a_line_too(commands, rng):
 
 
 def process(*arguments, cwd):
-    """A command as a person starts it, in a process group of its own."""
+    """A command as a person starts it, in a separate process group."""
     return subprocess.Popen(
         [sys.executable, str(ROOT / "train.py"), *arguments],
         cwd=cwd,
@@ -112,7 +112,7 @@ def wait_until(started, is_so):
 def test_importing_is_interrupted_without_a_traceback(tmp_path, rng, number):
     for _ in range(max(2, KILLS // 4)):
         started = process(*CONFIGURATIONS["replicas"], "hydra.run.dir=run", cwd=tmp_path)
-        # Python itself takes some hundredths of a second until it can take a signal.
+        # Python needs some hundredths of a second before it can handle a signal.
         wait_until(started, partial(_catches, started.pid))
         time.sleep(rng.uniform(0, 3))
         started.send_signal(number)
@@ -127,7 +127,7 @@ def test_importing_is_interrupted_without_a_traceback(tmp_path, rng, number):
 
 
 def _catches(pid):
-    """Whether a process has handlers of its own for both signals."""
+    """Whether a process has installed handlers for both signals."""
     for line in Path(f"/proc/{pid}/status").read_text().splitlines():
         if line.startswith("SigCgt:"):
             caught = int(line.split()[1], 16)
@@ -167,7 +167,7 @@ def test_the_jobs_of_a_sweep_end_with_a_command_that_is_killed(tmp_path):
     wait_until(started, lambda: len(list((tmp_path / "sweep").glob("*/metrics.csv"))) == 2)
 
     started.kill()
-    started.communicate()  # until nobody can write any more, the jobs neither
+    started.communicate()  # until no process can write any more, including the jobs
 
     jobs = [metrics.parent for metrics in (tmp_path / "sweep").glob("*/metrics.csv")]
     assert not [job for job in jobs if (job / "result.json").exists()]

@@ -1,4 +1,4 @@
-"""Two processes on one run folder: one works, the other is told in a line, and nothing is lost."""
+"""Two processes on one run folder: one works, the other is refused in a line, nothing is lost."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ TWO = "two processes on one run folder: one worked, the other was told so in a l
 
 @pytest.fixture
 def place(commands, request):
-    """The run folder that both are given."""
+    """The run folder of both processes."""
     return commands.folder / re.sub(r"\W+", "-", request.node.name)
 
 
@@ -28,7 +28,7 @@ def new(folder):
 
 
 def killed(commands, folder):
-    """Leaves a run of which something is left to do."""
+    """Makes an unfinished run."""
     command = commands.start("train", *new(folder))
     command.until((folder / "metrics.csv").exists)
     command.send(signal.SIGKILL)
@@ -36,7 +36,7 @@ def killed(commands, folder):
 
 
 def first(commands, kind, folder):
-    """Starts the process that works, stopped in the middle of its work."""
+    """Starts the working process, and stops it in the middle of its work."""
     if kind == "resume":
         killed(commands, folder)
         command = commands.start("train", f"resume={folder}")
@@ -98,7 +98,7 @@ def test_of_two_that_start_at_once_one_works(commands, references, place, record
 
     assert ends[0].code == 0
     assert ends[1].code == 2
-    # The second one may have come when the first one was done.
+    # The second one may have started after the first one's end.
     assert any(text in ends[1].line for text in (BUSY, "already holds a run", "is finished"))
     assert_same(place, reference.folder)
     record_property(TWO, 1)
