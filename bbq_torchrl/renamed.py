@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from types import CodeType
 
 PACKAGES = {
+    "evaluate": "cli.evaluate",
     "chat": "people.chat",
     "chat.agent": "people.dialogue.agent",
     "chat.goals": "people.dialogue.judge",
@@ -52,6 +53,11 @@ _PAGES = {
     "spike": ("none", "rule"),
 }
 
+_UTILS = (
+    *("extras", "interruption", "output", "pages", "plain_yaml"),
+    *("reports", "run_folder", "seeds", "statistics", "text"),
+)
+
 MODULES = {
     **{f"options.{page}.{name}": (f"options.{page}",) for page in _PAGES for name in _PAGES[page]},
     **dict.fromkeys(
@@ -59,19 +65,21 @@ MODULES = {
         ("protocols",),
     ),
     **{f"cli.{name}": (f"runs.{name}",) for name in ("checks", "loading", "resume", "train")},
+    **{name: (f"utils.{name}",) for name in _UTILS},
+    "calibrate": ("cli.calibrate",),
     "cli.notebook": ("runs.loading",),
     "cli.store": ("runs.compose",),
     "cli.training": ("runs.train", "runs.build"),
     "evaluation.learning": ("evaluation.metrics",),
     "evaluation.names": ("evaluation.runs",),
-    "evaluation.statistics": ("statistics",),
-    "evaluation.tables": ("reports",),
+    "evaluation.statistics": ("utils.statistics",),
+    "evaluation.tables": ("utils.reports",),
     "evaluation.transcripts": ("evaluation.rollouts",),
     "evaluation.while_training": ("evaluation.rollouts",),
-    "markdown": ("reports",),
+    "markdown": ("utils.reports",),
     "run": ("runs.train",),
     "shipped": ("runs.shipped",),
-    "sqlite": ("extras",),
+    "sqlite": ("utils.extras",),
     "bayes.settings": ("bayes.replicas",),
     "data.validation": ("data.rows",),
     "domains.validate": ("domains.parts",),

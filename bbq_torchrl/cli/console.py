@@ -5,15 +5,16 @@ from __future__ import annotations
 import importlib
 import sys
 
-from bbq_torchrl import __version__, interruption, output
-from bbq_torchrl.text import shown
+from bbq_torchrl import __version__
+from bbq_torchrl.utils import interruption, output
+from bbq_torchrl.utils.text import shown
 
 COMMANDS = {
     "train": ("bbq_torchrl.runs.train", "train an agent and evaluate it, or many (--multirun)"),
-    "evaluate": ("bbq_torchrl.evaluate", "play dialogues with a run or a scripted policy"),
+    "evaluate": ("bbq_torchrl.cli.evaluate", "play dialogues with a run or a scripted policy"),
     "search": ("bbq_torchrl.search.__main__", "search for hyper-parameters"),
     "report": ("bbq_torchrl.evaluation.report", "compare finished runs over their seeds"),
-    "domains": ("bbq_torchrl.calibrate", "import a corpus as a domain, calibrate a domain"),
+    "domains": ("bbq_torchrl.cli.calibrate", "import a corpus as a domain, calibrate a domain"),
     "language": (
         "bbq_torchrl.people.language.__main__",
         "understand and speak sentences, and measure it",

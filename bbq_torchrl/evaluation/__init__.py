@@ -9,7 +9,7 @@ from bbq_torchrl.evaluation.results import (
     TrainingEvaluation,
     read_result,
 )
-from bbq_torchrl.statistics import (
+from bbq_torchrl.utils.statistics import (
     Estimate,
     binomial_standard_error,
     estimate,

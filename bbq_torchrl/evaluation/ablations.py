@@ -9,8 +9,8 @@ from bbq_torchrl.evaluation.figures import draw_panels
 from bbq_torchrl.evaluation.groups import as_typed, runs_report
 from bbq_torchrl.evaluation.pairs import compare
 from bbq_torchrl.evaluation.runs import distinguishing_keys
-from bbq_torchrl.reports import NONE, Report, Table
-from bbq_torchrl.statistics import estimate
+from bbq_torchrl.utils.reports import NONE, Report, Table
+from bbq_torchrl.utils.statistics import estimate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -10,8 +10,8 @@ from bbq_torchrl.evaluation.figures import COLORS, draw_comparison
 from bbq_torchrl.evaluation.groups import know_commits, references, runs_report
 from bbq_torchrl.evaluation.metrics import FIRST, LEVELS, WINDOW, reach
 from bbq_torchrl.evaluation.pairs import EARLY, difference, pair
-from bbq_torchrl.reports import NONE, Report, Table
-from bbq_torchrl.statistics import estimate, estimate_iqm
+from bbq_torchrl.utils.reports import NONE, Report, Table
+from bbq_torchrl.utils.statistics import estimate, estimate_iqm
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bbq_torchrl.reports import save
-from bbq_torchrl.statistics import estimate
+from bbq_torchrl.utils.reports import save
+from bbq_torchrl.utils.statistics import estimate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -14,8 +14,8 @@ from bbq_torchrl.evaluation.figures import draw_panels
 from bbq_torchrl.evaluation.groups import label, runs_report
 from bbq_torchrl.evaluation.pairs import NOT_RUN, compare
 from bbq_torchrl.evaluation.runs import agent_name
-from bbq_torchrl.reports import Report, Table
-from bbq_torchrl.statistics import Estimate, estimate
+from bbq_torchrl.utils.reports import Report, Table
+from bbq_torchrl.utils.statistics import Estimate, estimate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,7 +11,7 @@ import numpy as np
 from bbq_torchrl.evaluation.metrics import areas, booked, rounds_to_reach
 from bbq_torchrl.evaluation.results import reference_lines
 from bbq_torchrl.evaluation.runs import distinguishing_keys, names_option, read_run
-from bbq_torchrl.reports import Report, Table
+from bbq_torchrl.utils.reports import Report, Table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence

@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import integrate, stats
 
-from bbq_torchrl.run_folder import METRICS
-from bbq_torchrl.statistics import CONFIDENCE
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils.run_folder import METRICS
+from bbq_torchrl.utils.statistics import CONFIDENCE
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

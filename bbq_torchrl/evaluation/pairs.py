@@ -14,14 +14,14 @@ import numpy as np
 
 from bbq_torchrl.evaluation.metrics import areas
 from bbq_torchrl.evaluation.runs import distinguishing_keys
-from bbq_torchrl.reports import NONE
-from bbq_torchrl.statistics import estimate, holm, t_test
+from bbq_torchrl.utils.reports import NONE
+from bbq_torchrl.utils.statistics import estimate, holm, t_test
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from bbq_torchrl.evaluation.groups import Group
-    from bbq_torchrl.statistics import Estimate
+    from bbq_torchrl.utils.statistics import Estimate
 
 ALPHA = 0.05
 

@@ -6,7 +6,7 @@ What is on the results page of the documentation is made by the same functions.
 from __future__ import annotations
 
 if __name__ == "__main__":  # before anything that takes time to import
-    from bbq_torchrl import interruption
+    from bbq_torchrl.utils import interruption
 
     interruption.listen()
 
@@ -15,13 +15,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bbq_torchrl import interruption, output
 from bbq_torchrl.evaluation.ablations import ablations_report
 from bbq_torchrl.evaluation.comparison import comparison_report
 from bbq_torchrl.evaluation.grid import grid_report
 from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.runs import find_results, find_unfinished
 from bbq_torchrl.evaluation.table1 import table1_report
+from bbq_torchrl.utils import interruption, output
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -9,9 +9,9 @@ from statistics import fmean
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bbq_torchrl.domains.parts import RANDOM_POLICY
-from bbq_torchrl.run_folder import RESULT, write_text
-from bbq_torchrl.statistics import binomial_standard_error
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils.run_folder import RESULT, write_text
+from bbq_torchrl.utils.statistics import binomial_standard_error
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.evaluation.results import read_result
-from bbq_torchrl.plain_yaml import read_yaml
-from bbq_torchrl.run_folder import CONFIG, METRICS, RESULT, folder_of, numbers_in_order
-from bbq_torchrl.text import sentence
+from bbq_torchrl.utils.plain_yaml import read_yaml
+from bbq_torchrl.utils.run_folder import CONFIG, METRICS, RESULT, folder_of, numbers_in_order
+from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

@@ -19,8 +19,8 @@ from bbq_torchrl.evaluation.figures import draw_families
 from bbq_torchrl.evaluation.groups import references, runs_report
 from bbq_torchrl.evaluation.metrics import FIRST, reach
 from bbq_torchrl.evaluation.pairs import EARLY, NOT_RUN, compare
-from bbq_torchrl.reports import NONE, Report, Table
-from bbq_torchrl.statistics import estimate, estimate_iqm
+from bbq_torchrl.utils.reports import NONE, Report, Table
+from bbq_torchrl.utils.statistics import estimate, estimate_iqm
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

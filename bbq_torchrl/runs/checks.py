@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, NamedTuple
 import torch
 
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.run_folder import CHECKPOINTS, METRICS, RESULT
 from bbq_torchrl.runs.build import make_domain, spike_policy
 from bbq_torchrl.runs.resume import description, result_of
-from bbq_torchrl.text import shown
 from bbq_torchrl.trainers import (
     CheckpointDamagedError,
     CheckpointFolder,
     derive_seed,
     rollouts,
 )
+from bbq_torchrl.utils.run_folder import CHECKPOINTS, METRICS, RESULT
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain

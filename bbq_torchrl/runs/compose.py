@@ -39,8 +39,6 @@ from bbq_torchrl.options import (
 from bbq_torchrl.options.registry import EXPERIMENT, conf_folder, options, options_folder
 from bbq_torchrl.options.settings import walk
 from bbq_torchrl.options.values import keys_with_lists
-from bbq_torchrl.pages import page
-from bbq_torchrl.plain_yaml import check_yaml
 from bbq_torchrl.runs.folders import quoted
 from bbq_torchrl.runs.overrides import (
     allowed,
@@ -54,7 +52,9 @@ from bbq_torchrl.runs.overrides import (
     train_command,
     unknown_key,
 )
-from bbq_torchrl.text import conceal_environment, sentence, shown
+from bbq_torchrl.utils.pages import page
+from bbq_torchrl.utils.plain_yaml import check_yaml
+from bbq_torchrl.utils.text import conceal_environment, sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

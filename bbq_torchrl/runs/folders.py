@@ -13,9 +13,9 @@ from filelock import FileLock, Timeout
 from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.run_folder import CHECKPOINTS, CONFIG, HYDRA, LOCK, PROCESS, write_text
 from bbq_torchrl.runs.overrides import key_of
-from bbq_torchrl.text import sentence
+from bbq_torchrl.utils.run_folder import CHECKPOINTS, CONFIG, HYDRA, LOCK, PROCESS, write_text
+from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

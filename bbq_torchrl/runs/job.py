@@ -25,11 +25,9 @@ from hydra.errors import CompactHydraException
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
-from bbq_torchrl import interruption, output
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import load_folder, options_folder
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.run_folder import CONFIG
 from bbq_torchrl.runs.compose import register_options, session, to_config, why_refused
 from bbq_torchrl.runs.folders import quoted, refuse_other_folder, run_folder
 from bbq_torchrl.runs.overrides import (
@@ -41,7 +39,9 @@ from bbq_torchrl.runs.overrides import (
 )
 from bbq_torchrl.runs.resume import Resumption, is_finished, restarted_config
 from bbq_torchrl.runs.sweeps import FULL_ERROR, Sweep, prepare_sweep, refuse_unswept, tell_no_job
-from bbq_torchrl.text import sentence
+from bbq_torchrl.utils import interruption, output
+from bbq_torchrl.utils.run_folder import CONFIG
+from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
     from argparse import Namespace

@@ -13,7 +13,6 @@ from bbq_torchrl.checks import check, one_of
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.registry import conf_folder, load_folder
 from bbq_torchrl.protocols import enter_round
-from bbq_torchrl.run_folder import CHECKPOINTS
 from bbq_torchrl.runs.build import make_domain
 from bbq_torchrl.runs.compose import compose_raw, register_options, session
 from bbq_torchrl.runs.job import begin
@@ -22,6 +21,7 @@ from bbq_torchrl.runs.resume import Resumption, description, run_config
 from bbq_torchrl.runs.shipped import is_shipped, run_folder
 from bbq_torchrl.runs.train import make_agent, run
 from bbq_torchrl.trainers import BestWeights, CheckpointFolder, NonFiniteWeightsError
+from bbq_torchrl.utils.run_folder import CHECKPOINTS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -22,7 +22,6 @@ from omegaconf.errors import (
 )
 from yaml import YAMLError
 
-from bbq_torchrl.extras import install_command
 from bbq_torchrl.options import (
     CalibrateConfig,
     Config,
@@ -39,7 +38,8 @@ from bbq_torchrl.options.registry import (
     options_folder,
 )
 from bbq_torchrl.options.values import keys_with_lists
-from bbq_torchrl.text import sentence, shown
+from bbq_torchrl.utils.extras import install_command
+from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -14,7 +14,6 @@ from omegaconf.errors import OmegaConfBaseException
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError, walk
-from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT, write_text
 from bbq_torchrl.runs.compose import (
     load_yaml,
     options_of,
@@ -25,7 +24,8 @@ from bbq_torchrl.runs.compose import (
 )
 from bbq_torchrl.runs.folders import quoted, run_lock
 from bbq_torchrl.runs.overrides import key_of, not_an_option
-from bbq_torchrl.text import sentence, shown
+from bbq_torchrl.utils.run_folder import CONFIG, CURVE, RESULT, write_text
+from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

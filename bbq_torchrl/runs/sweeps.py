@@ -16,12 +16,16 @@ from typing import TYPE_CHECKING, Any, cast
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf, open_dict, read_write
 
-from bbq_torchrl import interruption, output
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.plain_yaml import read_yaml
-from bbq_torchrl.run_folder import (
+from bbq_torchrl.runs.compose import compose_raw, session, to_config
+from bbq_torchrl.runs.folders import named_folder, refuse_links, refuse_other_folder, reserve
+from bbq_torchrl.runs.overrides import LAUNCHER, key_of, read_override
+from bbq_torchrl.runs.resume import NOT_SWEPT, is_finished, restarted_config, run_config
+from bbq_torchrl.utils import interruption, output
+from bbq_torchrl.utils.plain_yaml import read_yaml
+from bbq_torchrl.utils.run_folder import (
     CONFIG,
     LOG,
     OVERRIDES,
@@ -29,11 +33,7 @@ from bbq_torchrl.run_folder import (
     folder_of,
     numbers_in_order,
 )
-from bbq_torchrl.runs.compose import compose_raw, session, to_config
-from bbq_torchrl.runs.folders import named_folder, refuse_links, refuse_other_folder, reserve
-from bbq_torchrl.runs.overrides import LAUNCHER, key_of, read_override
-from bbq_torchrl.runs.resume import NOT_SWEPT, is_finished, restarted_config, run_config
-from bbq_torchrl.text import sentence, shown
+from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence

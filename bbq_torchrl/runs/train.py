@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import hydra
 
-from bbq_torchrl import interruption
 from bbq_torchrl.options.registry import conf_folder
-from bbq_torchrl.run_folder import CONFIG, RESULT
 from bbq_torchrl.runs.job import command, job
+from bbq_torchrl.utils import interruption
+from bbq_torchrl.utils.run_folder import CONFIG, RESULT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -69,7 +69,7 @@ def run(
         CheckpointDamagedError: a run to resume has no checkpoint any more that can be read.
         CheckpointMismatchError: its checkpoint is of another seed or configuration.
         ConfigError: another process is at work in the folder.
-        Interrupted: a signal came (see :mod:`bbq_torchrl.interruption`); all rounds are saved.
+        Interrupted: a signal came; all rounds are saved.
     """
     from bbq_torchrl.evaluation.results import flat_numbers, write_json
     from bbq_torchrl.runs import build, final, folders, messages, resume

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 if __name__ == "__main__":  # before anything that takes time to import
-    from bbq_torchrl import interruption
+    from bbq_torchrl.utils import interruption
 
     interruption.listen()
 
@@ -12,14 +12,14 @@ import logging
 import sys
 from typing import TYPE_CHECKING
 
-from bbq_torchrl import interruption, output
-from bbq_torchrl.extras import needed
 from bbq_torchrl.options.registry import options
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.pages import page
 from bbq_torchrl.runs.overrides import take_config_dir
 from bbq_torchrl.search.definition import SEARCH, compose_search
-from bbq_torchrl.text import sentence
+from bbq_torchrl.utils import interruption, output
+from bbq_torchrl.utils.extras import needed
+from bbq_torchrl.utils.pages import page
+from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -36,7 +36,7 @@ from bbq_torchrl.options.settings import (
 from bbq_torchrl.runs.compose import compose, load_yaml
 from bbq_torchrl.runs.overrides import too_large, unreadable
 from bbq_torchrl.search.space import Parameter, as_entry, parse_parameter
-from bbq_torchrl.text import conceal_environment, sentence, shown
+from bbq_torchrl.utils.text import conceal_environment, sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -18,7 +18,7 @@ from bbq_torchrl.options.settings import (
     optional,
     setting,
 )
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils.text import shown
 
 NUMBER = Allowed(
     "a number",

@@ -20,10 +20,7 @@ from filelock import FileLock, Timeout
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.pool import NullPool
 
-from bbq_torchrl.extras import sqlite_url
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.plain_yaml import read_yaml
-from bbq_torchrl.run_folder import CONFIG, write_text
 from bbq_torchrl.runs.folders import refuse_links
 from bbq_torchrl.search.space import Choices, as_entry
 from bbq_torchrl.search.trials import (
@@ -33,8 +30,11 @@ from bbq_torchrl.search.trials import (
     trial_name,
     write_tables,
 )
-from bbq_torchrl.text import sentence, shown
 from bbq_torchrl.trainers import TrainingError, derive_seed
+from bbq_torchrl.utils.extras import sqlite_url
+from bbq_torchrl.utils.plain_yaml import read_yaml
+from bbq_torchrl.utils.run_folder import CONFIG, write_text
+from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

@@ -6,8 +6,8 @@ import pytest
 import yaml
 
 from bbq_torchrl.people.study.plan import StudyError, load_study
-from bbq_torchrl.plain_yaml import check_yaml, read_yaml
 from bbq_torchrl.runs.sweeps import table_of_runs
+from bbq_torchrl.utils.plain_yaml import check_yaml, read_yaml
 
 
 def doubled(first, pattern):

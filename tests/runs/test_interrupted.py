@@ -13,13 +13,13 @@ from forked import environment
 from hydra.core.utils import JobReturn, JobStatus
 from tiny import rows
 
-from bbq_torchrl import interruption
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.resume import load_config
 from bbq_torchrl.runs.sweeps import FULL_ERROR, Sweep, table_of_runs
 from bbq_torchrl.runs.train import run
 from bbq_torchrl.trainers import RunFolderGoneError
+from bbq_torchrl.utils import interruption
 
 from .trusted import DQN, resumed, state_of
 
@@ -187,7 +187,7 @@ def test_a_disk_without_room_is_an_error_before_the_first_byte(kept, monkeypatch
 
 ORPHAN = """
 import multiprocessing, time
-from bbq_torchrl import interruption
+from bbq_torchrl.utils import interruption
 
 def work():
     interruption.end_with_parent()

@@ -11,7 +11,7 @@ from os.path import expanduser
 from pathlib import Path
 
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils.text import shown
 
 __all__ = ["SHIPPED", "is_shipped", "run_folder", "shipped_agents"]
 

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from bbq_torchrl.text import sentence, shown
+from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator

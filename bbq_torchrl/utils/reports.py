@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from bbq_torchrl.run_folder import write_bytes
+from bbq_torchrl.utils.run_folder import write_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence

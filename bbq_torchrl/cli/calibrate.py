@@ -13,13 +13,13 @@ import functools
 import sys
 from typing import TYPE_CHECKING, NamedTuple
 
-from bbq_torchrl import interruption, output
 from bbq_torchrl.domains import importing
 from bbq_torchrl.options import CalibrateConfig, ConfigError
-from bbq_torchrl.pages import page
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.overrides import take_config_dir
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils import interruption, output
+from bbq_torchrl.utils.pages import page
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -103,8 +103,8 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
     from bbq_torchrl.evaluation.rollouts import evaluate
     from bbq_torchrl.options.env import FullDomain
     from bbq_torchrl.runs.checks import check_device
-    from bbq_torchrl.statistics import binomial_standard_error
     from bbq_torchrl.trainers import derive_seed, keep_freed_memory
+    from bbq_torchrl.utils.statistics import binomial_standard_error
 
     option = config.env
     if not isinstance(option, FullDomain):

@@ -15,7 +15,7 @@ from functools import wraps
 from io import StringIO, TextIOWrapper
 from typing import TYPE_CHECKING, Any, ParamSpec
 
-from bbq_torchrl.text import sentence, shown
+from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -1,9 +1,9 @@
-"""``python -m bbq_torchrl.evaluate``: plays dialogues and prints one line of JSON."""
+"""``bbq evaluate``: plays dialogues and prints one line of JSON."""
 
 from __future__ import annotations
 
 if __name__ == "__main__":  # before anything that takes time to import
-    from bbq_torchrl import interruption
+    from bbq_torchrl.utils import interruption
 
     interruption.listen()
 
@@ -14,15 +14,15 @@ from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl import interruption, output
 from bbq_torchrl.options import ConfigError, EvaluateConfig
 from bbq_torchrl.options.values import replica_values
-from bbq_torchrl.pages import page
 from bbq_torchrl.runs.compose import compose, run_of
 from bbq_torchrl.runs.overrides import take_config_dir
 from bbq_torchrl.runs.resume import run_config
 from bbq_torchrl.runs.shipped import run_folder
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils import interruption, output
+from bbq_torchrl.utils.pages import page
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.envs import DialogueEnv
 
 USAGE = f"""\
-usage: python -m bbq_torchrl.evaluate policy=<policy> [<key>=<value> ...]
+usage: bbq evaluate policy=<policy> [<key>=<value> ...]
 
 Plays dialogues and prints one line of JSON: success_rate, standard_error, reward, turns,
 dialogues, turns_per_second.
@@ -99,8 +99,8 @@ def evaluation(config: EvaluateConfig) -> dict[str, Any]:
     from bbq_torchrl.runs.build import make_domain
     from bbq_torchrl.runs.checks import check_device
     from bbq_torchrl.runs.loading import trained_policy
-    from bbq_torchrl.statistics import binomial_standard_error
     from bbq_torchrl.trainers import keep_freed_memory
+    from bbq_torchrl.utils.statistics import binomial_standard_error
 
     check_device(config.device)
     torch.set_num_threads(config.threads)

@@ -1,0 +1,1 @@
+"""Tools of any room: errors, output, signals, files, seeds, statistics and reports."""
