@@ -53,10 +53,7 @@ _PAGES = {
     "spike": ("none", "rule"),
 }
 
-_UTILS = (
-    *("extras", "interruption", "output", "pages", "plain_yaml"),
-    *("reports", "run_folder", "seeds", "statistics", "text"),
-)
+_UTILS = ("extras", "interruption", "output", "reports", "seeds", "statistics", "text")
 
 MODULES = {
     **{f"options.{page}.{name}": (f"options.{page}",) for page in _PAGES for name in _PAGES[page]},
@@ -66,6 +63,8 @@ MODULES = {
     ),
     **{f"cli.{name}": (f"runs.{name}",) for name in ("checks", "loading", "resume", "train")},
     **{name: (f"utils.{name}",) for name in _UTILS},
+    **dict.fromkeys(("plain_yaml", "run_folder"), ("utils.files",)),
+    "pages": ("utils.output",),
     "calibrate": ("cli.calibrate",),
     "cli.notebook": ("runs.loading",),
     "cli.store": ("runs.compose",),

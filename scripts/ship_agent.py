@@ -21,7 +21,7 @@ from bbq_torchrl.runs.build import make_domain
 from bbq_torchrl.runs.resume import description, run_config, save_config
 from bbq_torchrl.runs.train import make_agent
 from bbq_torchrl.trainers import CheckpointFolder
-from bbq_torchrl.utils.run_folder import CHECKPOINTS, CONFIG, OVERRIDES, RESULT
+from bbq_torchrl.utils.files import CHECKPOINTS, CONFIG, OVERRIDES, RESULT
 
 
 def ship(run: Path, target: Path, replica: int = 0) -> None:

@@ -18,7 +18,7 @@ from bbq_torchrl.options import CalibrateConfig, ConfigError
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.overrides import take_config_dir
 from bbq_torchrl.utils import interruption, output
-from bbq_torchrl.utils.pages import page
+from bbq_torchrl.utils.output import page
 from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:

@@ -21,7 +21,7 @@ from bbq_torchrl.runs.overrides import take_config_dir
 from bbq_torchrl.runs.resume import run_config
 from bbq_torchrl.runs.shipped import run_folder
 from bbq_torchrl.utils import interruption, output
-from bbq_torchrl.utils.pages import page
+from bbq_torchrl.utils.output import page
 from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:

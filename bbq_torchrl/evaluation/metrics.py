@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import integrate, stats
 
-from bbq_torchrl.utils.run_folder import METRICS
+from bbq_torchrl.utils.files import METRICS
 from bbq_torchrl.utils.statistics import CONFIDENCE
 from bbq_torchrl.utils.text import shown
 

@@ -9,7 +9,7 @@ from statistics import fmean
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bbq_torchrl.domains.parts import RANDOM_POLICY
-from bbq_torchrl.utils.run_folder import RESULT, write_text
+from bbq_torchrl.utils.files import RESULT, write_text
 from bbq_torchrl.utils.statistics import binomial_standard_error
 from bbq_torchrl.utils.text import shown
 

@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.evaluation.results import read_result
-from bbq_torchrl.utils.plain_yaml import read_yaml
-from bbq_torchrl.utils.run_folder import CONFIG, METRICS, RESULT, folder_of, numbers_in_order
+from bbq_torchrl.utils.files import CONFIG, METRICS, RESULT, folder_of, numbers_in_order, read_yaml
 from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:

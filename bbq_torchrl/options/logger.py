@@ -21,7 +21,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from bbq_torchrl.options.registry import Option, register
 from bbq_torchrl.options.settings import ANY_TEXT, ConfigError, option, setting
 from bbq_torchrl.utils.extras import install_command, sqlite_url
-from bbq_torchrl.utils.run_folder import is_utf8, write_text
+from bbq_torchrl.utils.files import is_utf8, write_text
 from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from bbq_torchrl.trainers import (
     derive_seed,
     rollouts,
 )
-from bbq_torchrl.utils.run_folder import CHECKPOINTS, METRICS, RESULT
+from bbq_torchrl.utils.files import CHECKPOINTS, METRICS, RESULT
 from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:

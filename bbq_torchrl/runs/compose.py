@@ -52,8 +52,8 @@ from bbq_torchrl.runs.overrides import (
     train_command,
     unknown_key,
 )
-from bbq_torchrl.utils.pages import page
-from bbq_torchrl.utils.plain_yaml import check_yaml
+from bbq_torchrl.utils.files import check_yaml
+from bbq_torchrl.utils.output import page
 from bbq_torchrl.utils.text import conceal_environment, sentence, shown
 
 if TYPE_CHECKING:

@@ -27,7 +27,7 @@ from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.values import replica_values
 from bbq_torchrl.protocols import enter_round
 from bbq_torchrl.trainers import NonFiniteWeightsError, RunFolderGoneError
-from bbq_torchrl.utils.run_folder import CURVE
+from bbq_torchrl.utils.files import CURVE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -14,7 +14,7 @@ from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.runs.overrides import key_of
-from bbq_torchrl.utils.run_folder import CHECKPOINTS, CONFIG, HYDRA, LOCK, PROCESS, write_text
+from bbq_torchrl.utils.files import CHECKPOINTS, CONFIG, HYDRA, LOCK, PROCESS, write_text
 from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:

@@ -40,7 +40,7 @@ from bbq_torchrl.runs.overrides import (
 from bbq_torchrl.runs.resume import Resumption, is_finished, restarted_config
 from bbq_torchrl.runs.sweeps import FULL_ERROR, Sweep, prepare_sweep, refuse_unswept, tell_no_job
 from bbq_torchrl.utils import interruption, output
-from bbq_torchrl.utils.run_folder import CONFIG
+from bbq_torchrl.utils.files import CONFIG
 from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
@@ -154,7 +154,7 @@ def job(composed: DictConfig, run: Callable[..., RunResult]) -> float:
         the final success rate, which sweepers get.
     """
     folder = Path(HydraConfig.get().runtime.output_dir)
-    interruption.tell(how_to_go_on=lambda: _how_to_go_on(folder))
+    interruption.tell(how_to_continue=lambda: _how_to_continue(folder))
     checked = _command.run
     if checked is None:
         return _job_of_a_sweep(composed, folder, run)
@@ -306,7 +306,7 @@ def _failure(error: Exception) -> Exception:
     return UsageError(sentence(error)) if tells else error
 
 
-def _how_to_go_on(folder: Path) -> str:
+def _how_to_continue(folder: Path) -> str:
     if not (folder / CONFIG).is_file():
         return "the same command starts again"
     plain = re.fullmatch(r"[\w./~@%+:-]+", os.fspath(folder)) is not None
@@ -319,7 +319,7 @@ def _end(end: BaseException, overrides: Sequence[str]) -> NoReturn:
     sweep, wants_traceback = _command.sweep, _command.wants_traceback
     if code := interruption.exit_code():
         if sweep is not None:
-            interruption.tell(lambda: "in a sweep", sweep.how_to_go_on)
+            interruption.tell(lambda: "in a sweep", sweep.how_to_continue)
         output.print_error(interruption.line())
         sys.exit(code)
     if isinstance(end, _Stopped):

@@ -21,7 +21,7 @@ from bbq_torchrl.runs.resume import Resumption, description, run_config
 from bbq_torchrl.runs.shipped import is_shipped, run_folder
 from bbq_torchrl.runs.train import make_agent, run
 from bbq_torchrl.trainers import BestWeights, CheckpointFolder, NonFiniteWeightsError
-from bbq_torchrl.utils.run_folder import CHECKPOINTS
+from bbq_torchrl.utils.files import CHECKPOINTS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

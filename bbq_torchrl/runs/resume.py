@@ -24,7 +24,7 @@ from bbq_torchrl.runs.compose import (
 )
 from bbq_torchrl.runs.folders import quoted, run_lock
 from bbq_torchrl.runs.overrides import key_of, not_an_option
-from bbq_torchrl.utils.run_folder import CONFIG, CURVE, RESULT, write_text
+from bbq_torchrl.utils.files import CONFIG, CURVE, RESULT, write_text
 from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:

@@ -24,14 +24,14 @@ from bbq_torchrl.runs.folders import named_folder, refuse_links, refuse_other_fo
 from bbq_torchrl.runs.overrides import LAUNCHER, key_of, read_override
 from bbq_torchrl.runs.resume import NOT_SWEPT, is_finished, restarted_config, run_config
 from bbq_torchrl.utils import interruption, output
-from bbq_torchrl.utils.plain_yaml import read_yaml
-from bbq_torchrl.utils.run_folder import (
+from bbq_torchrl.utils.files import (
     CONFIG,
     LOG,
     OVERRIDES,
     RESULT,
     folder_of,
     numbers_in_order,
+    read_yaml,
 )
 from bbq_torchrl.utils.text import sentence, shown
 
@@ -64,7 +64,7 @@ class Sweep:
     @contextmanager
     def interruptible(self) -> Iterator[None]:
         """Within it, a signal has the jobs on this machine end their rounds first."""
-        interruption.tell(lambda: "in a sweep", self.how_to_go_on)
+        interruption.tell(lambda: "in a sweep", self.how_to_continue)
         is_here = self.launcher in ("cores", "joblib", "basic")
         quiet = cast("Any", sys.stderr and _StandardError(sys.stderr))
         with (
@@ -77,7 +77,7 @@ class Sweep:
         """Writes the table of its runs to stderr."""
         output.print_error(table_of_runs(self.folder, self.jobs))
 
-    def how_to_go_on(self) -> str:
+    def how_to_continue(self) -> str:
         """Returns how many runs are finished, and the command that continues the others."""
         finished = table_of_runs(self.folder, self.jobs).splitlines()[0]
         return f"{finished}; the same command with hydra.sweep.dir={self.folder} continues"

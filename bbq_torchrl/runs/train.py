@@ -17,7 +17,7 @@ import hydra
 from bbq_torchrl.options.registry import conf_folder
 from bbq_torchrl.runs.job import command, job
 from bbq_torchrl.utils import interruption
-from bbq_torchrl.utils.run_folder import CONFIG, RESULT
+from bbq_torchrl.utils.files import CONFIG, RESULT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

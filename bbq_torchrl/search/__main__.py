@@ -18,7 +18,7 @@ from bbq_torchrl.runs.overrides import take_config_dir
 from bbq_torchrl.search.definition import SEARCH, compose_search
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.extras import needed
-from bbq_torchrl.utils.pages import page
+from bbq_torchrl.utils.output import page
 from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:

@@ -32,8 +32,7 @@ from bbq_torchrl.search.trials import (
 )
 from bbq_torchrl.trainers import TrainingError, derive_seed
 from bbq_torchrl.utils.extras import sqlite_url
-from bbq_torchrl.utils.plain_yaml import read_yaml
-from bbq_torchrl.utils.run_folder import CONFIG, write_text
+from bbq_torchrl.utils.files import CONFIG, read_yaml, write_text
 from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from bbq_torchrl.evaluation.results import read_result, write_json
 from bbq_torchrl.runs.overrides import train_command
 from bbq_torchrl.runs.resume import is_finished, restarted_config
 from bbq_torchrl.trainers import TrainingError
-from bbq_torchrl.utils.run_folder import write_text
+from bbq_torchrl.utils.files import write_text
 from bbq_torchrl.utils.statistics import interquartile_mean
 from bbq_torchrl.utils.text import sentence
 

@@ -33,7 +33,7 @@ from torchrl.checkpoint import Checkpoint, CheckpointError
 
 from bbq_torchrl.trainers.archive import TensorFiles, read_archive
 from bbq_torchrl.trainers.errors import CheckpointDamagedError, CheckpointMismatchError
-from bbq_torchrl.utils.run_folder import is_utf8
+from bbq_torchrl.utils.files import is_utf8
 from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:

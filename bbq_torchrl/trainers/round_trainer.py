@@ -33,7 +33,7 @@ from bbq_torchrl.trainers.errors import (
 from bbq_torchrl.trainers.learn import Learner
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.progress import RoundProgress
-from bbq_torchrl.utils.run_folder import CHECKPOINTS, METRICS
+from bbq_torchrl.utils.files import CHECKPOINTS, METRICS
 from bbq_torchrl.utils.seeds import derive_seed
 
 if TYPE_CHECKING:

@@ -1,1 +1,1 @@
-"""Tools of any room: errors, output, signals, files, seeds, statistics and reports."""
+"""Utilities for every room: messages, output, signals, files, seeds, statistics, reports."""

@@ -1,4 +1,4 @@
-"""Seeds: for every phase of a training, and for every process, from one seed."""
+"""Seeds of the phases of a training and of processes, derived from one seed."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import torch
 
 LARGEST_SEED = 2**63 - 1
 
-# The last fork of this process or of the one that it comes from: who forked, and torch's seed.
+# The last fork of this process or an ancestor: the forking process and torch's seed.
 _at_fork: tuple[int, int] | None = None
 _imported_in = os.getpid()
 
@@ -27,10 +27,10 @@ if hasattr(os, "register_at_fork"):
 
 
 def checked_seed(seed: SupportsIndex) -> int:
-    """Returns a seed as a Python integer, which NumPy's and torch's may be as well.
+    """Returns a seed, which may be NumPy's or torch's integer, as a Python integer.
 
     Raises:
-        ValueError: unless it is an integer from 0 to 2**63 - 1.
+        ValueError: it is not an integer from 0 to 2**63 - 1.
 
     Examples:
         >>> import numpy as np
@@ -52,13 +52,13 @@ def checked_seed(seed: SupportsIndex) -> int:
 def derive_seed(seed: SupportsIndex, *path: str | SupportsIndex) -> int:
     """Returns the seed of one phase of a run, in [0, 2**63): a hash of the run's seed and a path.
 
-    A phase that starts from a separate seed does not depend on how many random numbers the
-    phases before it used: a replica whose dialogues or epochs are shorter shifts nobody's draws,
-    and a resumed run needs no generator's state.
+    With separate seeds a phase does not depend on the number of random numbers drawn before it:
+    shorter dialogues of one replica do not shift the draws of others, and a resumed run needs no
+    generator state.
 
     Args:
         seed: the seed of the run.
-        *path: what the seed is for, for example ``("collect", round)``.
+        *path: the purpose of the seed, for example ``("collect", round)``.
 
     Examples:
         >>> derive_seed(0, "collect", 1) == derive_seed(0, "collect", 1)
@@ -73,10 +73,10 @@ def derive_seed(seed: SupportsIndex, *path: str | SupportsIndex) -> int:
 
 
 def own_seed(drawn: int) -> int:
-    """Returns a seed that torch's global generator has drawn, or another one in a forked process.
+    """Returns a seed drawn by torch's global generator, or another one in a forked process.
 
-    Forked processes have copies of one generator, which draw the same, until they seed it
-    (``torch.manual_seed``).
+    Forked processes have copies of one generator and draw the same numbers until they call
+    ``torch.manual_seed``.
     """
     is_copy = (
         _at_fork is not None and os.getpid() != _at_fork[0] and torch.initial_seed() == _at_fork[1]
@@ -85,8 +85,8 @@ def own_seed(drawn: int) -> int:
 
 
 def seed_of_process(seed: int) -> int:
-    """Returns what this process has in the place of a seed that several have."""
+    """Returns this process's seed, derived from one that several processes share."""
     process = multiprocessing.current_process().name
     if multiprocessing.parent_process() is None and os.getpid() != _imported_in:
-        process = str(os.getpid())  # forked by hand, under the name that its parent has
+        process = str(os.getpid())  # forked without multiprocessing, so its name is the parent's
     return derive_seed(seed, process)

@@ -136,7 +136,7 @@ def test_hydra_does_not_tell_of_each_job_that_a_signal_has_ended(
 def test_a_signal_lets_the_round_end_and_saves_it(tmp_path, listening, kept):
     assert signal.getsignal(signal.SIGINT) is signal.getsignal(signal.SIGTERM)
     folder = tmp_path / "run"
-    interruption.tell(how_to_go_on=lambda: "so it goes on")
+    interruption.tell(how_to_continue=lambda: "so it continues")
 
     def signaled(trainer, rows):
         os.kill(os.getpid(), signal.SIGTERM)
@@ -145,7 +145,7 @@ def test_a_signal_lets_the_round_end_and_saves_it(tmp_path, listening, kept):
         run(compose([*DQN, "protocol.keep_checkpoints=last"]), folder, [signaled])
 
     assert interruption.exit_code() == 128 + signal.SIGTERM
-    assert interruption.line() == "interrupted after 1 of 3 rounds, 1 saved: so it goes on"
+    assert interruption.line() == "interrupted after 1 of 3 rounds, 1 saved: so it continues"
     newest = max((folder / "checkpoint").iterdir()).name
     assert newest == "round-000001.torchrl"
     interruption._State.received = None

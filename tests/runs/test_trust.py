@@ -22,7 +22,7 @@ from bbq_torchrl.runs.job import REFUSED
 from bbq_torchrl.runs.resume import is_finished, load_config, run_config
 from bbq_torchrl.runs.train import run
 from bbq_torchrl.trainers import NonFiniteWeightsError
-from bbq_torchrl.utils.run_folder import LOCK, PROCESS, write_text
+from bbq_torchrl.utils.files import LOCK, PROCESS, write_text
 
 from .trusted import DQN, state_of
 

@@ -6,7 +6,7 @@ import prepared
 from tiny import TINY
 
 from bbq_torchrl.runs.train import run
-from bbq_torchrl.utils.run_folder import LOCK
+from bbq_torchrl.utils.files import LOCK
 
 DQN = (
     *TINY,

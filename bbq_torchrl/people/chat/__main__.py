@@ -17,8 +17,7 @@ from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.registry import load_folder
 from bbq_torchrl.people.dialogue import RULE_NAMES
 from bbq_torchrl.utils import output
-from bbq_torchrl.utils.output import between
-from bbq_torchrl.utils.pages import page
+from bbq_torchrl.utils.output import between, page
 from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bbq_torchrl.people.language.confidence import CUES
-from bbq_torchrl.utils.run_folder import write_bytes
+from bbq_torchrl.utils.files import write_bytes
 from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:

@@ -11,7 +11,7 @@ import yaml
 
 from bbq_torchrl.people.language.quantities import KINDS, Kind
 from bbq_torchrl.people.language.templates import Template, TemplateError, parse
-from bbq_torchrl.utils.plain_yaml import read_yaml
+from bbq_torchrl.utils.files import read_yaml
 from bbq_torchrl.utils.text import FaultsError, shown
 
 if TYPE_CHECKING:

@@ -18,8 +18,7 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl.people.study.plan import StudyError, data_of, load_study
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.extras import needed
-from bbq_torchrl.utils.output import between
-from bbq_torchrl.utils.pages import page
+from bbq_torchrl.utils.output import between, page
 from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:

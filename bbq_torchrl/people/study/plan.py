@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.people.dialogue import RULE_NAMES
-from bbq_torchrl.utils.plain_yaml import read_yaml
+from bbq_torchrl.utils.files import read_yaml
 from bbq_torchrl.utils.text import FaultsError, shown
 
 if TYPE_CHECKING:
