@@ -1,4 +1,4 @@
-"""The console command ``bbq``: every command of the project by one name."""
+"""The console command ``bbq``, with the project's commands as subcommands."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ COMMANDS = {
     "chat": ("bbq_torchrl.people.chat.__main__", "talk with a trained agent in the terminal"),
     "study": ("bbq_torchrl.people.study.__main__", "have people talk with agents and rate them"),
 }
-"""name -> the module whose ``main`` it is, and what it does."""
+"""Subcommand -> the module of its ``main``, and its help."""
 
 
 def main() -> int | None:
