@@ -1,4 +1,4 @@
-"""Measuring trained agents: dialogues, statistics over seeds, tables and figures."""
+"""Evaluation of trained agents: dialogues, statistics over seeds, tables and figures."""
 
 from __future__ import annotations
 

@@ -1,7 +1,4 @@
-"""``python -m bbq_torchrl.evaluation.report``: finished runs compared over their seeds.
-
-What is on the results page of the documentation is made by the same functions.
-"""
+"""``bbq report``: compares finished runs over their seeds."""
 
 from __future__ import annotations
 
@@ -29,7 +26,7 @@ if TYPE_CHECKING:
 FORMS = {
     "table1": (
         table1_report,
-        "the paper's Table 1: its numbers beside, declared pairs, and what is missing",
+        "the paper's Table 1: its numbers next to ours, declared pairs, and missing cells",
     ),
     "grid": (grid_report, "learner x explorer: each learner by each exploration"),
     "ablations": (
@@ -37,7 +34,7 @@ FORMS = {
         "runs that each change one key of a reference; of one key alone, give that first",
     ),
 }
-"""Option -> what makes the report of groups, and its help."""
+"""Flag -> the function that makes the report, and its help."""
 
 
 @output.refusing
