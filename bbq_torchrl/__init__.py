@@ -1,9 +1,9 @@
 """BBQ-Networks (AAAI 2018) as native TorchRL parts.
 
 ``bayes``, ``networks``, ``exploration``, ``objectives``, ``data`` and ``vime`` are parts for any
-TorchRL project; ``domains`` and ``simulator`` hold what a dialogue is about and how the user in it
-behaves, ``envs`` makes an environment of them; ``trainers`` play and learn, ``evaluation`` measures
-trained agents, and ``options`` are what the command line can choose.
+TorchRL project. ``domains`` and ``simulator`` define dialogues and their users, and ``envs`` makes
+environments of them. ``trainers`` collect and learn, ``evaluation`` measures trained agents, and
+``options`` are the choices of the command line.
 :func:`train` trains an agent as the command line does; :func:`load_run` returns a finished run as
 environment, policy and configuration; :func:`config_dir` is for Hydra's Compose API.
 """
@@ -25,7 +25,7 @@ renamed.install(__name__)
 
 
 def __getattr__(name: str) -> Any:
-    # Imported when it is asked for: torch and torchrl take seconds.
+    # Imported on first use, since torch and torchrl take seconds.
     if name in ("config_dir", "load_run", "train"):
         from bbq_torchrl.runs import loading
 

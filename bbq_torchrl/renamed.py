@@ -1,4 +1,4 @@
-"""Old names of modules, kept for one version: they lead to the new ones, with a warning."""
+"""Old import paths, which work for one version with a DeprecationWarning."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from types import CodeType
 
 PACKAGES = {
+    "evaluate": "cli.evaluate",
     "chat": "people.chat",
     "chat.agent": "people.dialogue.agent",
     "chat.goals": "people.dialogue.judge",
@@ -36,7 +37,7 @@ PACKAGES = {
     "study.rating": "people.study.simulate",
     "study.talk": "people.dialogue.talk",
 }
-"""Old package -> new package; its modules follow, except those that are listed."""
+"""Old package or command -> new one; modules not listed here keep their names in it."""
 
 _PAGES = {
     "agent": ("bbqn", "bootstrap", "dqn"),
@@ -52,6 +53,8 @@ _PAGES = {
     "spike": ("none", "rule"),
 }
 
+_UTILS = ("extras", "interruption", "output", "reports", "seeds", "statistics", "text")
+
 MODULES = {
     **{f"options.{page}.{name}": (f"options.{page}",) for page in _PAGES for name in _PAGES[page]},
     **dict.fromkeys(
@@ -59,19 +62,23 @@ MODULES = {
         ("protocols",),
     ),
     **{f"cli.{name}": (f"runs.{name}",) for name in ("checks", "loading", "resume", "train")},
+    **{name: (f"utils.{name}",) for name in _UTILS},
+    **dict.fromkeys(("plain_yaml", "run_folder"), ("utils.files",)),
+    "pages": ("utils.output",),
+    "calibrate": ("cli.calibrate",),
     "cli.notebook": ("runs.loading",),
     "cli.store": ("runs.compose",),
     "cli.training": ("runs.train", "runs.build"),
     "evaluation.learning": ("evaluation.metrics",),
     "evaluation.names": ("evaluation.runs",),
-    "evaluation.statistics": ("statistics",),
-    "evaluation.tables": ("reports",),
+    "evaluation.statistics": ("utils.statistics",),
+    "evaluation.tables": ("utils.reports",),
     "evaluation.transcripts": ("evaluation.rollouts",),
     "evaluation.while_training": ("evaluation.rollouts",),
-    "markdown": ("reports",),
+    "markdown": ("utils.reports",),
     "run": ("runs.train",),
     "shipped": ("runs.shipped",),
-    "sqlite": ("extras",),
+    "sqlite": ("utils.extras",),
     "bayes.settings": ("bayes.replicas",),
     "data.validation": ("data.rows",),
     "domains.validate": ("domains.parts",),
@@ -88,11 +95,11 @@ MODULES = {
     "trainers.memory": ("trainers.learn",),
     "vime.running_median": ("vime.information_gain",),
 }
-"""Old module -> the modules that have its names now."""
+"""Old module -> the modules that now have its names."""
 
 
 class _Stand(ModuleType):
-    """Stands for a module that is gone: takes what is asked for from its new place."""
+    """A removed module, which takes its names from the new modules."""
 
     def __getattr__(self, name: str) -> Any:
         package, _, old = self.__name__.partition(".")
@@ -105,7 +112,7 @@ class _Stand(ModuleType):
 
 
 class _Finder(MetaPathFinder, Loader):
-    """Finds the modules of a package by its old name, also for `python -m`. Python asks it last."""
+    """Finds modules by their package's old name, also for `python -m`, after all other finders."""
 
     def __init__(self, package: str) -> None:
         self._package = package
@@ -127,11 +134,11 @@ class _Finder(MetaPathFinder, Loader):
         return module
 
     def exec_module(self, module: ModuleType) -> None:
-        """Gives the module its own spec back: it has been executed under its new name."""
+        """Restores the module's spec: it has been executed under its new name."""
         module.__spec__ = self._specs.pop(module.__spec__.name) if module.__spec__ else None
 
     def get_code(self, name: str) -> CodeType | None:
-        """Returns the code of a module that `python -m` runs by its old name."""
+        """Returns the code of a module for `python -m` with its old name."""
         spec = importlib.util.find_spec(self._new_name(name) or "")
         code: CodeType | None = spec.loader.get_code(spec.name)  # type: ignore[union-attr]
         return code
@@ -152,7 +159,7 @@ def _warn(old: str, new: str) -> None:
 
 
 def install(package: str) -> None:
-    """Makes the old names of a package importable; imports nothing by itself."""
+    """Makes the old names of a package importable, without importing anything."""
     for old in MODULES:
         sys.modules.setdefault(f"{package}.{old}", _Stand(f"{package}.{old}"))
     if not any(isinstance(finder, _Finder) for finder in sys.meta_path):

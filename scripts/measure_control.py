@@ -18,8 +18,9 @@ import torch
 from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from bbq_torchrl import load_run, output
+from bbq_torchrl import load_run
 from bbq_torchrl.people.dialogue.control import IN_THE_SIMULATOR, Control
+from bbq_torchrl.utils import output
 
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase

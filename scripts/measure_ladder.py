@@ -20,7 +20,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
-from bbq_torchrl.evaluate import composed, evaluation
+from bbq_torchrl.cli.evaluate import composed, evaluation
 
 FILE = Path(__file__).resolve().parent.parent / "results" / "ladder.json"
 

@@ -1,6 +1,6 @@
 """Measures the scripted policies and the privileged one, and writes results/policies.json.
 
-Plays every line of the table below as ``python -m bbq_torchrl.evaluate`` does and keeps the command
+Plays every line of the table below as ``bbq evaluate`` does and keeps the command
 beside its answer; ``scripts/write_docs.py`` makes the documentation's tables from them.
 
     python scripts/measure_policies.py                        our corpus
@@ -15,7 +15,7 @@ import json
 import sys
 from pathlib import Path
 
-from bbq_torchrl.evaluate import composed, evaluation
+from bbq_torchrl.cli.evaluate import composed, evaluation
 
 FILE = Path(__file__).resolve().parent.parent / "results" / "policies.json"
 
@@ -82,7 +82,7 @@ def main() -> None:
             "corpus": corpus,
             "setting": setting,
             "policy": policy,
-            "command": f"python -m bbq_torchrl.evaluate {command}",
+            "command": f"bbq evaluate {command}",
             "result": result,
         }
     entries = [known[key] for key in MEASUREMENTS if key in known]

@@ -16,12 +16,12 @@ from pathlib import Path
 
 from bbq_torchrl.evaluation.results import read_result, write_json
 from bbq_torchrl.options.values import replica_values
-from bbq_torchrl.run_folder import CHECKPOINTS, CONFIG, OVERRIDES, RESULT
 from bbq_torchrl.runs import shipped
 from bbq_torchrl.runs.build import make_domain
 from bbq_torchrl.runs.resume import description, run_config, save_config
 from bbq_torchrl.runs.train import make_agent
 from bbq_torchrl.trainers import CheckpointFolder
+from bbq_torchrl.utils.files import CHECKPOINTS, CONFIG, OVERRIDES, RESULT
 
 
 def ship(run: Path, target: Path, replica: int = 0) -> None:

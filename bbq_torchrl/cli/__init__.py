@@ -1,1 +1,1 @@
-"""The console command ``bbq``."""
+"""Command lines: ``bbq``, ``bbq evaluate`` and ``bbq domains``."""

@@ -1,19 +1,20 @@
-"""The console command ``bbq``: every command of the project by one name."""
+"""The console command ``bbq``, with the project's commands as subcommands."""
 
 from __future__ import annotations
 
 import importlib
 import sys
 
-from bbq_torchrl import __version__, interruption, output
-from bbq_torchrl.text import shown
+from bbq_torchrl import __version__
+from bbq_torchrl.utils import interruption, output
+from bbq_torchrl.utils.text import shown
 
 COMMANDS = {
     "train": ("bbq_torchrl.runs.train", "train an agent and evaluate it, or many (--multirun)"),
-    "evaluate": ("bbq_torchrl.evaluate", "play dialogues with a run or a scripted policy"),
+    "evaluate": ("bbq_torchrl.cli.evaluate", "play dialogues with a run or a scripted policy"),
     "search": ("bbq_torchrl.search.__main__", "search for hyper-parameters"),
     "report": ("bbq_torchrl.evaluation.report", "compare finished runs over their seeds"),
-    "domains": ("bbq_torchrl.calibrate", "import a corpus as a domain, calibrate a domain"),
+    "domains": ("bbq_torchrl.cli.calibrate", "import a corpus as a domain, calibrate a domain"),
     "language": (
         "bbq_torchrl.people.language.__main__",
         "understand and speak sentences, and measure it",
@@ -21,7 +22,7 @@ COMMANDS = {
     "chat": ("bbq_torchrl.people.chat.__main__", "talk with a trained agent in the terminal"),
     "study": ("bbq_torchrl.people.study.__main__", "have people talk with agents and rate them"),
 }
-"""name -> the module whose ``main`` it is, and what it does."""
+"""Subcommand -> the module of its ``main``, and its help."""
 
 
 def main() -> int | None:

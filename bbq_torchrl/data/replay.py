@@ -21,7 +21,7 @@ from bbq_torchrl.data.rows import (
 )
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
 from bbq_torchrl.protocols import Measured, Seeded, modules_with
-from bbq_torchrl.seeds import checked_seed
+from bbq_torchrl.utils.seeds import checked_seed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence

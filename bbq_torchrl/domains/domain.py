@@ -16,7 +16,7 @@ from bbq_torchrl.domains.parts import (
     repeated,
 )
 from bbq_torchrl.domains.values import DONT_CARE, RESERVED_TEXT, fold
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from bbq_torchrl.text import FaultsError
+from bbq_torchrl.utils.text import FaultsError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -31,7 +31,7 @@ from bbq_torchrl.domains.tables import (
     read_values,
 )
 from bbq_torchrl.domains.values import RESERVED_TEXT
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence

@@ -12,7 +12,6 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from bbq_torchrl import output
 from bbq_torchrl.domains.cleaning import cleaned, only_in_goals
 from bbq_torchrl.domains.faults import DomainError, Source
 from bbq_torchrl.domains.folder import load_domain, save_data
@@ -20,6 +19,7 @@ from bbq_torchrl.domains.miulab import fitted, read_corpus
 from bbq_torchrl.domains.parts import ACTION_KINDS, Action, ScriptedPolicySpec
 from bbq_torchrl.domains.specification import SPECIFICATION_FILE
 from bbq_torchrl.domains.tables import VALUES_FILE
+from bbq_torchrl.utils import output
 
 if TYPE_CHECKING:
     import argparse

@@ -20,7 +20,7 @@ from bbq_torchrl.domains.parts import Goal
 from bbq_torchrl.domains.specification import SPECIFICATION_FILE, read_specification
 from bbq_torchrl.domains.spelling import DIFFERENCE, misspellings
 from bbq_torchrl.domains.tables import NEEDS_VALUES
-from bbq_torchrl.text import sentence, shown
+from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence

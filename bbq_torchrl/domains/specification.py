@@ -10,8 +10,8 @@ import yaml
 from bbq_torchrl.checks import INTEGER, NUMBER, TEXT, Allowed, check
 from bbq_torchrl.domains.faults import Source
 from bbq_torchrl.domains.parts import ACTION_KINDS, Action, ScriptedPolicySpec
-from bbq_torchrl.plain_yaml import read_yaml
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils.files import read_yaml
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable

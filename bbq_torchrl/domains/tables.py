@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains.faults import Source
 from bbq_torchrl.domains.parts import Goal, repeated
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from pathlib import Path

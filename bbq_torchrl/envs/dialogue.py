@@ -19,8 +19,8 @@ from bbq_torchrl.envs.turns import (
     checked_batch,
     present_device,
 )
-from bbq_torchrl.seeds import checked_seed, seed_of_process, unshared_seed
 from bbq_torchrl.simulator import ErrorModel, Rewards, Simulator
+from bbq_torchrl.utils.seeds import checked_seed, seed_of_process, unshared_seed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

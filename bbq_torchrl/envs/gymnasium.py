@@ -21,9 +21,9 @@ from tensordict import TensorDict
 
 from bbq_torchrl.domains import Domain, load_domain, movie_domain
 from bbq_torchrl.envs.dialogue import DialogueEnv
-from bbq_torchrl.seeds import LARGEST_SEED, checked_seed, seed_of_process
 from bbq_torchrl.simulator import Transcript
 from bbq_torchrl.simulator.features import COUNT_SCALE, TURN_SCALE
+from bbq_torchrl.utils.seeds import LARGEST_SEED, checked_seed, seed_of_process
 
 if TYPE_CHECKING:
     from typing import TypeAlias

@@ -15,7 +15,6 @@ from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.parts import RANDOM_POLICY
 from bbq_torchrl.envs.dialogue import DialogueEnv
 from bbq_torchrl.envs.policies import scripted_policy
-from bbq_torchrl.seeds import checked_seed
 from bbq_torchrl.simulator import MeasuredErrors
 from bbq_torchrl.simulator.measured_errors import (
     CONTEXTS,
@@ -23,7 +22,8 @@ from bbq_torchrl.simulator.measured_errors import (
     context_of,
     questions_of,
 )
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils.seeds import checked_seed
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

@@ -1,4 +1,4 @@
-"""Measuring trained agents: dialogues, statistics over seeds, tables and figures."""
+"""Evaluation of trained agents: dialogues, statistics over seeds, tables and figures."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from bbq_torchrl.evaluation.results import (
     TrainingEvaluation,
     read_result,
 )
-from bbq_torchrl.statistics import (
+from bbq_torchrl.utils.statistics import (
     Estimate,
     binomial_standard_error,
     estimate,

@@ -9,8 +9,8 @@ from bbq_torchrl.evaluation.figures import draw_panels
 from bbq_torchrl.evaluation.groups import as_typed, runs_report
 from bbq_torchrl.evaluation.pairs import compare
 from bbq_torchrl.evaluation.runs import distinguishing_keys
-from bbq_torchrl.reports import NONE, Report, Table
-from bbq_torchrl.statistics import estimate
+from bbq_torchrl.utils.reports import NONE, Report, Table
+from bbq_torchrl.utils.statistics import estimate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -18,20 +18,20 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.groups import Group
 
 ABLATIONS_NOTE = """\
-Means over seeds with their 95 % Student t interval; the reference stands in every table. Others are
+Means over seeds with their 95 % Student t interval; every table has the reference. Others are
 compared with it by pairs: replicas of one seed, which saw the same spiked dialogues, goals and
-noise of the simulator, but for what the key changes of them. p: of a t test of the differences, by
-Holm's method for the values of the key."""
+noise of the simulator, except for changes by the key itself. p: t test of the differences, adjusted
+by Holm's method for the values of the key."""
 
 
 class Ablations(NamedTuple):
-    """One setting, and those that change one key of it, or keys of one group.
+    """A reference setting, and settings that change one key of it, or keys of one group.
 
     Attributes:
-        reference: the runs that all others differ from so.
-        keys: dotted key (several: ``explore.per, explore.shared``) -> value -> its runs, those of
-            the reference among them; numbers in order. Of an option with several settings the
-            value names what tells them apart: ``epsilon_greedy, explore.eps_init=0.1``.
+        reference: the runs of the reference.
+        keys: dotted key (several: ``explore.per, explore.shared``) -> value -> its runs, including
+            the reference; numbers in order. Several settings of an option are told apart by their
+            keys: ``epsilon_greedy, explore.eps_init=0.1``.
     """
 
     reference: Group
@@ -39,11 +39,10 @@ class Ablations(NamedTuple):
 
 
 def find_ablations(groups: Sequence[Group]) -> Ablations:
-    """Finds the reference; where several groups could be it, it is the first.
+    """Finds the reference: the first group from which all others differ in one key or one group.
 
     Raises:
-        ValueError: there is no group that every other one differs from in one key or in keys of
-            one group of options, or no other.
+        ValueError: no such group, or fewer than two groups.
     """
     if len(groups) < 2:
         raise ValueError(f"ablations need runs of two settings, got {len(groups)}")
@@ -68,12 +67,14 @@ def find_ablations(groups: Sequence[Group]) -> Ablations:
 
 
 def _row(names: Sequence[str], row: Sequence[Group]) -> dict[str, Group]:
-    """Returns the groups of a row by their values of the keys that it is about."""
+    """Returns the groups of a row by their values of its keys."""
     settings = [group.setting for group in row]
     values = []
     for own, group in zip(settings, row, strict=True):
-        told = dict.fromkeys(key for other in settings for key in _changed(own, other))
-        more = [f"{key}={as_typed(own[key])}" for key in told if key in own and key not in names]
+        different = dict.fromkeys(key for other in settings for key in _changed(own, other))
+        more = [
+            f"{key}={as_typed(own[key])}" for key in different if key in own and key not in names
+        ]
         value = _value(own, names)
         values.append((", ".join([as_typed(value), *more]) if more else value, group))
     return {as_typed(value): group for value, group in sorted(values, key=_place)}
@@ -93,14 +94,14 @@ def _value(setting: Mapping[str, Any], names: Sequence[str]) -> Any:
 
 
 def _place(entry: tuple[Any, Group]) -> tuple[bool, float]:
-    """Sorts numbers behind what is none; that stays in its order."""
+    """Sort key: other values in their order, then numbers."""
     value, _ = entry
     is_number = isinstance(value, int | float)
     return is_number, value if is_number else 0.0
 
 
 def ablations_report(groups: Sequence[Group]) -> Report:
-    """Returns a table and a panel for each key.
+    """Returns the report: a table and a panel for each key.
 
     Raises:
         ValueError: see :func:`find_ablations`.

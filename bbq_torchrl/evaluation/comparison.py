@@ -1,4 +1,4 @@
-"""The report on any runs: success, differences by pairs, when they learned, and their curves."""
+"""The general report: success, paired differences, speed of learning, and curves."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from bbq_torchrl.evaluation.figures import COLORS, draw_comparison
 from bbq_torchrl.evaluation.groups import know_commits, references, runs_report
 from bbq_torchrl.evaluation.metrics import FIRST, LEVELS, WINDOW, reach
 from bbq_torchrl.evaluation.pairs import EARLY, difference, pair
-from bbq_torchrl.reports import NONE, Report, Table
-from bbq_torchrl.statistics import estimate, estimate_iqm
+from bbq_torchrl.utils.reports import NONE, Report, Table
+from bbq_torchrl.utils.statistics import estimate, estimate_iqm
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -22,21 +22,20 @@ if TYPE_CHECKING:
 NOTE = """\
 The unit is the training seed, never the dialogue. Means over seeds with their 95 % Student t
 interval, cut where it leaves 0 to 1 (of differences -1 to 1). IQM: interquartile mean over seeds
-with its 95 % bootstrap interval (none below five seeds). Booked after 1,000: share of the first
+with its 95 % bootstrap interval (from five seeds on). Booked after 1,000: share of the first
 1,000 training dialogues that succeeded. Cumulative training success: the share of all of them."""
 
 PAIRS_NOTE = """\
 Differences by pairs: replicas of the same seed, which saw the same spiked dialogues, goals and
-noise of the simulator, one minus the other, the mean with its 95 % Student t interval, not adjusted
-for the number of comparisons."""
+noise of the simulator. Means with their 95 % Student t interval, not adjusted for the number of
+comparisons."""
 
 LEARNING_NOTE = f"""\
-Rounds (and dialogues) until success is reached: in training, until the mean of the last {WINDOW}
-rounds reaches it; in evaluation, until the first that does. The median over seeds, a seed that did
-not reach it counting as longer than all that did (the rounds after which half of the seeds had),
-with its 95 % interval from six seeds on; and how many seeds reached it, where not all did. The area
-under the curve is its mean height, its values joined by straight lines: in training the cumulative
-success."""
+Rounds (and dialogues) until a level of success is reached: in training by the mean of the last
+{WINDOW} rounds, in evaluation by a single one. The median over seeds, where a seed that did not
+reach the level counts as longer than all others, with its 95 % interval from six seeds on; and the
+number of seeds that reached it, if not all did. The area under the curve is its mean height, with
+values joined by straight lines; in training it is the cumulative success."""
 
 NOTES = (NOTE, PAIRS_NOTE, LEARNING_NOTE)
 
@@ -50,7 +49,7 @@ DIFFERENCES = {
 
 
 def comparison_report(groups: Sequence[Group]) -> Report:
-    """Returns the tables of the groups, each with its note, and their curves.
+    """Returns the report: tables with notes, and curves.
 
     A figure shows at most seven groups: ``curves``, then ``curves_2`` and so on.
     """
@@ -72,7 +71,7 @@ def comparison_report(groups: Sequence[Group]) -> Report:
 
 
 def _common(groups: Sequence[Group]) -> str:
-    """Returns what the groups have in common: ``"env=full, domain=movie"``; no domain if none."""
+    """Returns the environment and domain of the groups, such as ``"env=full, domain=movie"``."""
     common = {
         name: sorted({getattr(group.first, name) for group in groups} - {""})
         for name in ("env", "domain")
@@ -81,7 +80,7 @@ def _common(groups: Sequence[Group]) -> str:
 
 
 def success_table(groups: Sequence[Group]) -> Table:
-    """Returns a row for each group."""
+    """Returns the table of final and training success, a row for each group."""
     rows = [
         {
             "agent": group.label,
@@ -102,7 +101,7 @@ def success_table(groups: Sequence[Group]) -> Table:
 
 
 def booked_columns(group: Group) -> dict[str, object]:
-    """Returns a column for each of the numbers of first dialogues that are reported."""
+    """Returns the columns of success in the first training dialogues."""
     return {
         f"booked after {first:,}": estimate(found) if (found := group.booked(first)) else NONE
         for first in FIRST
@@ -110,7 +109,7 @@ def booked_columns(group: Group) -> dict[str, object]:
 
 
 def pair_parts(compared: Sequence[Pairing]) -> list[str | Table]:
-    """Returns a row for each two groups with pairs, and remarks on who has no partner."""
+    """Returns the table of paired differences, and remarks on replicas without a partner."""
     rows = [
         {"by pairs": item.label, "pairs": item.pairs}
         | {
@@ -137,10 +136,10 @@ def pair_parts(compared: Sequence[Pairing]) -> list[str | Table]:
 
 
 def learning_table(groups: Sequence[Group]) -> Table:
-    """Returns a row for each learning curve of each group: training, and evaluation if any."""
+    """Returns the table of learning speed: a row for each training or evaluation curve."""
     rows: list[dict[str, Any]] = []
     for group in groups:
-        # The area under the training curve has a name of its own: it is the cumulative success.
+        # The area under the training curve is the cumulative success.
         curves = [("training", group.success, group.cumulative, WINDOW)]
         if group.evaluation is not None:
             curves.append(("evaluation", group.evaluation, group.area, 1))

@@ -1,4 +1,4 @@
-"""Figures: the learning curve of a run, and runs compared with bands over seeds."""
+"""Figures: the learning curve of a run, and comparisons with bands over seeds."""
 
 from __future__ import annotations
 
@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bbq_torchrl.reports import save
-from bbq_torchrl.statistics import estimate
+from bbq_torchrl.utils.reports import save
+from bbq_torchrl.utils.statistics import estimate
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -20,20 +20,20 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.groups import Group
 
 MIN_BAND = 5
-"""Seeds from which on a band is drawn: of fewer it would hide the curves."""
+"""Minimum number of seeds for a band: with fewer it would hide the curves."""
 
 WINDOW = 10
-"""Rounds that the thick curves are averaged over: 500 dialogues have a standard error of .02."""
+"""Rounds averaged in the thick curves: 500 dialogues have a standard error of .02."""
 
 LEGEND_HEIGHT = 1.0
-"""Inches of a figure's height that its legend may take; for a higher one the figure grows."""
+"""Inches of a figure's height for the legend; a higher legend makes the figure grow."""
 
-# Okabe and Ito's colors, told apart by color-blind readers too.
+# Okabe and Ito's palette, also for color-blind readers.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 
 
 def moving_average(values: Any, window: int = WINDOW) -> Any:
-    """Mean of the last ``window`` rounds (of fewer at the start), along the first axis.
+    """Returns the mean of the last ``window`` rounds (fewer at the start) along the first axis.
 
     Examples:
         >>> moving_average(np.array([0.0, 1.0, 2.0]), window=2).tolist()
@@ -57,23 +57,23 @@ def draw_run(
 ) -> None:
     """Draws the learning curve of one run into a PNG file.
 
-    The main line is that of the evaluations while training, with training success lighter behind
-    it; of a run without them it is training success. Of several groups each has one entry in the
-    legend, with its final evaluation.
+    The main line is the success of evaluations during training, with training success lighter
+    behind it; without such evaluations it is training success. Several groups have one entry each
+    in the legend, with the final evaluation.
 
     Args:
         file: the file.
-        groups: the run's replicas; several where they have values of their own.
+        groups: the run's replicas, in several groups if their settings differ.
         title: the heading.
-        spiked: what the buffer was spiked with, said at round 0; ``None`` for an empty buffer.
-        extensions: round to slot: where the domain grew.
-        references: success rates to compare with, by label.
+        spiked: label of the spike, drawn at round 0; ``None`` without a spike.
+        extensions: round -> slot that the domain gained.
+        references: label -> success rate to compare with.
     """
     figure, axes = _axes()
     end = groups[0].first.rounds
     for group, color in zip(groups, _colors(len(groups)), strict=True):
         mean = float(np.mean(group.final))
-        # Of one group the final evaluation stands out, of several it belongs to the group.
+        # The final evaluation of a single group has its own color.
         if len(groups) > 1:
             final, ending, label = color, f", final {mean:.3f}", ""
         else:
@@ -110,7 +110,7 @@ def draw_comparison(
     Args:
         groups: one for each setting.
         title: the heading.
-        references: success rates to compare with, by label.
+        references: label -> success rate to compare with.
     """
     figure, axes = _axes()
     for group, color in zip(groups, _colors(len(groups)), strict=True):
@@ -128,13 +128,13 @@ def draw_families(
 ) -> Figure:
     """Draws a column for each family of groups, as :func:`draw_comparison` draws groups.
 
-    Success in training stands above that in evaluations while training, and the reward of training
-    below, as far as there are groups that have them.
+    The rows are training success, success of evaluations during training, and training reward, if
+    any group has them.
 
     Args:
         families: heading of a column -> its groups. A group may be in several.
         title: the heading.
-        references: success rates to compare with, by label.
+        references: label -> success rate to compare with.
     """
     groups = [group for family in families.values() for group in family]
     names = {"success": "training success"}
@@ -177,7 +177,7 @@ def draw_panels(
     Args:
         panels: label of a panel -> label of a group -> the group.
         title: the heading.
-        marked: the group that has a star wherever it stands.
+        marked: the group marked by a star.
     """
     columns = min(2, len(panels))
     figure, grid = _axes(rows=-(-len(panels) // columns), columns=columns)
@@ -197,7 +197,7 @@ def draw_panels(
                 ends = [[found.value - found.low], [found.high - found.value]]
                 panel.errorbar(place, found.value, ends, **style)
         names = [f"{value}*" if group is marked else value for value, group in row.items()]
-        names = [name.replace("_", "\n") for name in names]  # so that long ones do not touch
+        names = [name.replace("_", "\n") for name in names]  # breaks long labels
         panel.set(xlabel=key, xticks=range(len(names)), xticklabels=names, ylim=(0, 1))
         panel.set_xlim(-0.5, len(names) - 0.5)
         panel.tick_params(axis="x", labelsize="small")
@@ -208,7 +208,7 @@ def draw_panels(
 
 
 def _colors(count: int) -> Sequence[Any]:
-    """Colors of groups; of many, ones that follow their order."""
+    """Returns colors of groups; for many groups a color scale."""
     if count <= len(COLORS):
         return COLORS[:count]
     from matplotlib import colormaps
@@ -217,7 +217,7 @@ def _colors(count: int) -> Sequence[Any]:
 
 
 def _axes(rows: int = 1, columns: int = 1, *, shared: bool = False) -> tuple[Figure, Any]:
-    # The object interface: no window system, and no global state beside other figures.
+    # The object interface needs no window system and has no global state.
     from matplotlib.figure import Figure
 
     size = (max(8, 4 * columns), 4.5 if rows == 1 else 3.3 * rows)
@@ -233,7 +233,7 @@ def _draw_training(
     axes: Any, group: Group, color: str, *, band: bool = False, ending: str = ""
 ) -> None:
     success, smooth = group.success, moving_average(group.success)
-    # A single run shows its raw rounds; several seeds would hide each other that way.
+    # A single seed shows its raw rounds; several would hide one another.
     thin = success if success.shape[1] == 1 else smooth
     label = f"{group.label} ({_seeds(group)}, mean of {WINDOW} rounds){ending}"
     rounds = np.arange(len(success))
@@ -244,7 +244,7 @@ def _draw_evaluated(
     axes: Any, rates: Any, color: Any, line: str, *, band: bool = False, label: str | None = None
 ) -> None:
     (rounds,) = np.isfinite(rates[:, 0]).nonzero()
-    # What is evaluated has learned from the round already: it stands at the round's end.
+    # The evaluated agent has learned from the round, so it is drawn at the round's end.
     _draw_seeds(axes, rounds + 1, rates[rounds], color, line, band=band, label=label)
 
 
@@ -259,11 +259,11 @@ def _draw_seeds(
     thin: Any = None,
     label: str | None = None,
 ) -> None:
-    """Draws values [rounds, seeds]: each seed (as ``thin`` has it), the mean, and its interval."""
+    """Draws values [rounds, seeds]: each seed (``thin`` if given), the mean, and its interval."""
     axes.plot(rounds, values if thin is None else thin, color=color, lw=0.7, alpha=0.35)
     axes.plot(rounds, values.mean(1), line, color=color, lw=2.2, ms=3, label=label)
     if band and values.shape[1] >= MIN_BAND:
-        # Of rewards as well as of rates; what lies beyond a rate's bounds is not in the picture.
+        # Also for rewards, so without bounds; the axes clip what exceeds those of a rate.
         found = [estimate(row, bounds=(-math.inf, math.inf)) for row in values]
         low, high = [item.low for item in found], [item.high for item in found]
         axes.fill_between(rounds, low, high, color=color, alpha=0.15, lw=0)
@@ -284,9 +284,9 @@ def _finished(figure: Figure, panels: Sequence[Any], *, legend: bool = True) -> 
 
 
 def _add_legend(figure: Figure) -> None:
-    """Adds the legend below the axes: inside, some curve would always be behind it.
+    """Adds the legend below the axes, in two columns, or one if they are too wide.
 
-    Two columns, or one where they are too wide; a figure that is too small for it grows.
+    A figure that is too small for it grows.
     """
     for columns in (2, 1):
         legend = figure.legend(loc="outside lower center", ncols=columns, fontsize=8, frameon=False)

@@ -1,7 +1,7 @@
-"""Learner x explorer: which part of a result is the learner's, and which its exploration's.
+"""Learner x explorer: separates the effect of learning from that of exploration.
 
-The same learner is trained on the dialogues of several strategies. Where its row of the grid is
-level, what looks like better exploration is better learning.
+The same learner is trained on the dialogues of several strategies. If its row of the grid is level,
+apparently better exploration is better learning.
 """
 
 from __future__ import annotations
@@ -14,8 +14,8 @@ from bbq_torchrl.evaluation.figures import draw_panels
 from bbq_torchrl.evaluation.groups import label, runs_report
 from bbq_torchrl.evaluation.pairs import NOT_RUN, compare
 from bbq_torchrl.evaluation.runs import agent_name
-from bbq_torchrl.reports import Report, Table
-from bbq_torchrl.statistics import Estimate, estimate
+from bbq_torchrl.utils.reports import Report, Table
+from bbq_torchrl.utils.statistics import Estimate, estimate
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,11 +33,11 @@ GRID_NOTE = """\
 Means over seeds with their 95 % Student t interval. Training success counts what exploring costs;
 evaluation, the mean height of its curve, counts what was learned. By pairs, replicas that saw the
 same spiked dialogues, goals and noise of the simulator: a learner's explorers and its first one,
-and an explorer's learners and its first one. p: of a t test of the differences, by Holm's method
-for all explorers of the learner, or all learners of the explorer."""
+and an explorer's learners and its first one. p: t test of the differences, adjusted by Holm's
+method for all explorers of the learner, or all learners of the explorer."""
 
 Grid = Mapping[str, Mapping[str, "Group"]]
-"""Learner -> explorer -> the runs, both in the order in which they were given."""
+"""Learner -> explorer -> the runs, both in the given order."""
 
 
 def find_grid(groups: Sequence[Group]) -> Grid:
@@ -76,7 +76,7 @@ def deviations(row: Mapping[str, Group], quantity: str) -> list[Comparison]:
 
 
 def grid_report(groups: Sequence[Group]) -> Report:
-    """Returns the grid and its comparisons.
+    """Returns the report: the grid and its comparisons.
 
     Raises:
         ValueError: see :func:`find_grid`.

@@ -1,4 +1,4 @@
-"""Runs as groups: what differs only in its seed belongs together."""
+"""Groups of runs that differ only in the seed."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 from bbq_torchrl.evaluation.metrics import areas, booked, rounds_to_reach
 from bbq_torchrl.evaluation.results import reference_lines
 from bbq_torchrl.evaluation.runs import distinguishing_keys, names_option, read_run
-from bbq_torchrl.reports import Report, Table
+from bbq_torchrl.utils.reports import Report, Table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.evaluation.runs import Replica
 
 _OF_AN_AGENT = ("agent", "explore", "intrinsic")
-"""Groups that make up an agent: what is compared."""
+"""Groups of options that define an agent."""
 
 
 @dataclass(frozen=True)
@@ -31,8 +31,8 @@ class Group:
     """Replicas of one setting, all their seeds together.
 
     Attributes:
-        label: the agent, and what tells this group from others of the same agent.
-        replicas: at least one.
+        label: the agent, and the keys that distinguish the group.
+        replicas: at least one replica.
     """
 
     label: str
@@ -40,7 +40,7 @@ class Group:
 
     @property
     def first(self) -> RunResult:
-        """The result of one of the runs, for what they all have in common."""
+        """The result of the first run, for the values that all runs share."""
         return self.replicas[0].result
 
     @property
@@ -55,53 +55,53 @@ class Group:
 
     @property
     def setting(self) -> dict[str, Any]:
-        """Dotted key to value of all that decides the outcome, but for the seed."""
+        """Dotted key -> value of everything but the seed that affects the outcome."""
         return self.replicas[0].setting
 
     @property
     def final(self) -> list[float]:
-        """Success rate of the final evaluation, one value for each seed."""
+        """Success rate of the final evaluation, per seed."""
         return [replica.own.success_rate for replica in self.replicas]
 
     @property
     def cumulative(self) -> list[float]:
-        """Share of all training dialogues that succeeded, one value for each seed."""
+        """Share of all training dialogues that succeeded, per seed."""
         return [replica.own.training_success for replica in self.replicas]
 
     def booked(self, first: int) -> list[float]:
-        """Share of the first training dialogues that succeeded, one value for each seed.
+        """Share of the first training dialogues that succeeded, per seed.
 
-        Empty where fewer were trained; see :func:`bbq_torchrl.evaluation.metrics.booked`.
+        Empty if fewer were trained; see :func:`bbq_torchrl.evaluation.metrics.booked`.
         """
         return booked(self.success, self.round_dialogues, first)
 
     @property
     def reward(self) -> float:
-        """Mean reward of a dialogue of the final evaluation, over all seeds."""
+        """Mean reward of the final evaluation's dialogues, over all seeds."""
         return float(np.mean([replica.own.reward for replica in self.replicas]))
 
     @property
     def turns(self) -> float:
-        """Mean number of agent turns of such a dialogue, over all seeds."""
+        """Mean number of agent turns of the final evaluation's dialogues, over all seeds."""
         return float(np.mean([replica.own.turns for replica in self.replicas]))
 
     @property
     def members(self) -> list[tuple[int, int, str, int]]:
-        """Identifies the random numbers that each seed trained with, in the order of the values."""
+        """Identifiers of the random numbers of each seed, in the order of the values."""
         return [replica.member for replica in self.replicas]
 
     @property
     def commit(self) -> str:
-        """The commits of the code of its runs, each once, as :attr:`RunResult.code` has them."""
+        """The commits of its runs, each once, as in :attr:`RunResult.code`."""
         return "; ".join(dict.fromkeys(replica.result.code for replica in self.replicas))
 
     @property
     def round_dialogues(self) -> int:
-        """Training dialogues of a round and seed."""
+        """Training dialogues per round and seed."""
         return int(self.replicas[0].metrics["dialogues"][0, 0])
 
     def curves(self, name: str) -> Any | None:
-        """A column of the metrics, shape [rounds, seeds]; None where not all runs have it."""
+        """Returns a column of the metrics, shape [rounds, seeds]; None if a run lacks it."""
         if any(name not in replica.metrics.columns for replica in self.replicas):
             return None
         columns = [replica.metrics[name][:, replica.number] for replica in self.replicas]
@@ -116,7 +116,7 @@ class Group:
     def evaluation(self) -> Any | None:
         """Success rate of each round's evaluation, shape [rounds, seeds].
 
-        NaN in rounds in which not all seeds were evaluated; None where there are no others.
+        NaN in rounds in which not all seeds were evaluated; None if all rounds are such.
         """
         curves = self.curves("eval_success_rate")
         if curves is None:
@@ -126,17 +126,17 @@ class Group:
 
     @property
     def area(self) -> list[float]:
-        """Area under the curve of these evaluations, one value for each seed; empty without."""
+        """Area under the curve of these evaluations, per seed; empty without evaluations."""
         return [] if self.evaluation is None else areas(self.evaluation)
 
 
 def read_groups(folders: Sequence[Path]) -> list[Group]:
-    """Reads result folders. Returns a group for each setting, in the order in which they come.
+    """Reads result folders. Returns a group for each setting, in the given order.
 
-    Replicas of a run with different values are of different settings.
+    Replicas of a run with different values have different settings.
 
     Raises:
-        ValueError: two runs are of the same setting and seed; and see :func:`read_run`.
+        ValueError: two runs have the same setting and seed; also as :func:`read_run`.
     """
     return grouped(replica for folder in folders for replica in read_run(folder))
 
@@ -164,15 +164,15 @@ def grouped(replicas: Iterable[Replica]) -> list[Group]:
 
 
 def know_commits(groups: Sequence[Group]) -> bool:
-    """Returns True if any of the runs knows the commit of its code."""
+    """Returns whether any of the runs has recorded its commit."""
     return any(replica.result.commit for group in groups for replica in group.replicas)
 
 
 def references(groups: Sequence[Group]) -> dict[str, float]:
-    """Returns the policies that figures compare the groups with, as :func:`reference_lines` has it.
+    """Returns label -> success rate of the policies that figures compare the groups with.
 
-    Each rate is the mean over the runs that know it. Privileged policies are left out where a run
-    does not know them, and all is where the users differ.
+    Each rate is the mean over the runs that have it. Privileged policies that a run lacks are left
+    out. Groups with different users have no references.
     """
     users = [
         {key: value for key, value in group.setting.items() if key.startswith(("env.", "domain."))}
@@ -191,7 +191,7 @@ def references(groups: Sequence[Group]) -> dict[str, float]:
 
 
 def _means(rates: Sequence[Mapping[str, float]]) -> dict[str, float]:
-    """Returns each name's mean over those that have it."""
+    """Returns the mean of each name over the mappings that have it."""
     names = dict.fromkeys(name for one in rates for name in one)
     return {name: fmean(one[name] for one in rates if name in one) for name in names}
 
@@ -199,16 +199,16 @@ def _means(rates: Sequence[Mapping[str, float]]) -> dict[str, float]:
 def label(
     name: str, setting: Mapping[str, Any], settings: Sequence[tuple[str, Mapping[str, Any]]]
 ) -> str:
-    """Returns the name, and the keys in which the setting differs from others.
+    """Returns the agent's name, and the keys in which its setting differs from others.
 
-    What makes up an agent is told where agents of the same name differ in it; all else also where
-    agents of other names do. Of a group with several options the name is told, and other keys
-    where settings of the same option differ in them. So no two settings have the same label.
+    Keys that define an agent are named if agents of the same name differ in them, other keys also
+    if any settings do. If options differ, the option is named instead of its keys. So no two
+    settings have the same label.
 
     Args:
-        name: of the agent.
-        setting: its dotted keys and their values.
-        settings: all names and settings, its own among them.
+        name: the agent's name.
+        setting: its dotted keys and values.
+        settings: all names and settings, including this one.
 
     Examples:
         >>> greedy = {"explore.name": "greedy"}
@@ -220,31 +220,31 @@ def label(
         >>> label("BBQN-MAP", step, settings)
         'BBQN-MAP, explore=thompson, explore.per=step'
     """
-    told: set[str] = set()
+    keys: set[str] = set()
     for other_name, other in settings:
-        told |= _told_from(setting, other, same_agent=other_name == name)
-    options = sorted(filter(names_option, told))
+        keys |= _distinguishing(setting, other, same_agent=other_name == name)
+    options = sorted(filter(names_option, keys))
     words = [name, *(f"{key.removesuffix('.name')}={setting[key]}" for key in options)]
     words += [
         f"{key}={as_typed(value)}"
         for key, value in setting.items()
-        if key in told.difference(options)
+        if key in keys.difference(options)
     ]
     return ", ".join(words)
 
 
 def as_typed(value: Any) -> str:
-    """Returns a value as it is written on a command line."""
+    """Returns a value as written on a command line."""
     text = "null" if value is None else str(value)
     return text.lower() if isinstance(value, bool) else text
 
 
-def _told_from(
+def _distinguishing(
     setting: Mapping[str, Any], other: Mapping[str, Any], *, same_agent: bool
 ) -> set[str]:
-    """Returns the keys that tell a setting from another one."""
+    """Returns the keys that distinguish a setting from another one."""
     if same_agent:
-        # A key of null that the other one lacks is told where nothing else tells them apart.
+        # A key of null that the other one lacks is named only if nothing else differs.
         different = [key for key, value in setting.items() if other.get(key) != value]
         different = different or [key for key in setting if key not in other]
     else:
@@ -257,7 +257,7 @@ def _told_from(
 
 
 def commits_text(groups: Sequence[Group]) -> str:
-    """Returns of which commits the runs are; empty where no run knows."""
+    """Returns the commits of the runs, as text; empty if none is recorded."""
     if not know_commits(groups):
         return ""
     together: dict[str, list[str]] = {}
@@ -270,7 +270,7 @@ def commits_text(groups: Sequence[Group]) -> str:
 
 
 def replicas_table(groups: Sequence[Group]) -> Table:
-    """Returns a row for each replica."""
+    """Returns the table of replicas."""
     rows = [
         {
             "corpus": replica.result.domain,
@@ -302,5 +302,5 @@ def runs_report(
     parts: Sequence[str | Table],
     figures: Mapping[str, tuple[str, Callable[[], Figure]]],
 ) -> Report:
-    """Returns a report on groups of runs: last their commits, and ``replicas.csv`` next to it."""
+    """Returns a report on groups of runs, with their commits at the end and ``replicas.csv``."""
     return Report(name, title, [*parts, commits_text(groups)], figures, [replicas_table(groups)])

@@ -1,4 +1,4 @@
-"""metrics.csv as arrays, and the speed of learning in them."""
+"""metrics.csv as arrays, and measures of learning speed."""
 
 from __future__ import annotations
 
@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import integrate, stats
 
-from bbq_torchrl.run_folder import METRICS
-from bbq_torchrl.statistics import CONFIDENCE
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils.files import METRICS
+from bbq_torchrl.utils.statistics import CONFIDENCE
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -23,7 +23,7 @@ _NEEDED = ("round", "replica", "dialogues", "success_rate")
 
 
 def _number(text: str, column: str) -> float:
-    """Returns a value of metrics.csv: NaN for an empty one, which no needed column may have."""
+    """Parses a value of metrics.csv; an empty one is NaN, refused in required columns."""
     value = float(text or "nan")
     if column in _NEEDED and not math.isfinite(value):
         raise ValueError(f"{column} must be a number")
@@ -34,11 +34,11 @@ class Metrics:
     """The columns of a metrics.csv.
 
     Args:
-        columns: name to values, shape [rounds, replicas] each.
+        columns: name -> values, shape [rounds, replicas].
 
     Attributes:
-        rounds: how many rounds are complete.
-        replicas: how many replicas there are.
+        rounds: number of complete rounds.
+        replicas: number of replicas.
     """
 
     def __init__(self, columns: dict[str, Any]) -> None:
@@ -54,10 +54,10 @@ class Metrics:
         return cls({name: columns[..., index] for index, name in enumerate(rows[0])})
 
     def __getitem__(self, name: str) -> Any:
-        """A column, shape [rounds, replicas].
+        """Returns a column, shape [rounds, replicas].
 
         Raises:
-            KeyError: naming the columns that there are.
+            KeyError: an unknown column; the message lists the known ones.
         """
         if name not in self.columns:
             raise KeyError(f"metrics have no column {name!r}, only {', '.join(self.columns)}")
@@ -71,16 +71,16 @@ class Metrics:
 
 
 def read_metrics(folder: Path) -> Metrics:
-    """Reads the metrics.csv of a result folder; a last round that is not complete is left out.
+    """Reads the metrics.csv of a result folder, without an incomplete last round.
 
-    What is empty, such as an evaluation in a round that had none, is NaN.
+    Empty cells, such as those of evaluations that other rounds have, are NaN.
 
     Raises:
-        ValueError: there is none, or a line is damaged; the message names file and line.
+        ValueError: the file is missing or a line is damaged; the message names file and line.
     """
     file = folder / METRICS
     if not file.is_file():
-        raise ValueError(f"{folder} has no {METRICS}: it is no run folder")
+        raise ValueError(f"{folder} has no {METRICS}: it is not a run folder")
     try:
         text = file.read_text(encoding="utf-8-sig")
     except UnicodeDecodeError as error:
@@ -97,7 +97,7 @@ def read_metrics(folder: Path) -> Metrics:
             rows.append([_number(text, column) for text, column in values])
         except ValueError as error:
             raise ValueError(f"{file}, line {number}, is damaged: {shown(line)}") from error
-    # At least one: where no row is of round 0, none is in order.
+    # At least one, so that rows without round 0 are refused below.
     replicas = max(1, sum(row[names.index("round")] == 0 for row in rows))
     rounds = len(rows) // replicas
     if rounds == 0:
@@ -113,13 +113,13 @@ def read_metrics(folder: Path) -> Metrics:
 
 
 LEVELS = (0.5, 0.6, 0.7, 0.8)
-"""Success rates that are to be reached."""
+"""Success rates whose first round is reported."""
 
 FIRST = (500, 1_000, 2_000, 5_000)
-"""Numbers of training dialogues whose success is reported: what exploring costs early."""
+"""Numbers of first training dialogues whose success is reported: the early cost of exploring."""
 
 WINDOW = 5
-"""Rounds whose mean training success is to reach a level: 250 dialogues have an error of .03."""
+"""Rounds averaged to reach a level in training: 250 dialogues have a standard error of .03."""
 
 
 @dataclass(frozen=True)
@@ -127,9 +127,9 @@ class Reach:
     """The time that the seeds of a group took to reach a success rate.
 
     Attributes:
-        rounds: of training until then, one value for each seed; infinite where it was not reached.
-        trained: rounds of training in all.
-        dialogues: of a round.
+        rounds: training rounds until then, per seed; infinite if it was not reached.
+        trained: rounds of the whole training.
+        dialogues: dialogues per round.
     """
 
     rounds: tuple[float, ...]
@@ -138,25 +138,22 @@ class Reach:
 
     @property
     def reached(self) -> int:
-        """The number of seeds that reached it."""
+        """The number of seeds that reached the rate."""
         return sum(map(math.isfinite, self.rounds))
 
     @property
     def median(self) -> float:
-        """The rounds after which half of the seeds had reached it; infinite if fewer did.
-
-        So a seed that did not reach it counts as one that takes longer than it was trained.
-        """
+        """The rounds after which half of the seeds had reached the rate; infinite if fewer did."""
         return median_low(self.rounds)
 
     @property
     def interval(self) -> tuple[float, float]:
-        """95 % interval of the median, from the order of the seeds alone; NaN below six seeds."""
+        """The distribution-free 95 % interval of the median; NaN below six seeds."""
         found = stats.quantile_test(self.rounds, p=0.5).confidence_interval(CONFIDENCE)
         return float(found.low), float(found.high)
 
     def csv_columns(self) -> dict[str, float]:
-        """Returns what stands in the columns of a CSV file."""
+        """Returns suffixes of CSV columns and their numbers."""
         low, high = self.interval
         return {
             "": self.median,
@@ -167,13 +164,13 @@ class Reach:
         }
 
     def shown(self, rounds: float, unit: int = 1) -> str:
-        """Returns rounds as text, in units of so many dialogues: ``38``, or ``> 150``."""
+        """Returns rounds multiplied by ``unit`` as text, such as ``38`` or ``> 150``."""
         if math.isinf(rounds):
             return f"> {self.trained * unit:,}"
         return f"{rounds * unit:,.0f}"
 
     def __str__(self) -> str:
-        """``38 [34, 45] (1,900), 9 of 10``: rounds, interval, dialogues and seeds."""
+        """Returns rounds, interval, dialogues and seeds, as in ``38 [34, 45] (1,900), 9 of 10``."""
         if self.reached == 0:
             return "not reached"
         low, high = self.interval
@@ -184,21 +181,21 @@ class Reach:
 
 
 def reach(success: Any, level: float, dialogues: int, window: int = WINDOW) -> Reach:
-    """Returns how long the seeds took to a level; see :func:`rounds_to_reach`."""
+    """Returns the time that the seeds took to reach a level; see :func:`rounds_to_reach`."""
     rounds = rounds_to_reach(success, level, window)
     return Reach(tuple(rounds.tolist()), len(success), dialogues)
 
 
 def rounds_to_reach(success: Any, level: float, window: int = WINDOW) -> Any:
-    """The first round, counted from 1, after which the mean of the last rounds reaches a level.
+    """Returns the first round, counted from 1, after which the moving mean reaches a level.
 
     Args:
-        success: success rates, shape [rounds, seeds]; NaN in rounds without.
+        success: success rates, shape [rounds, seeds]; NaN in rounds without a value.
         level: the success rate to reach.
-        window: over how many rounds the mean is taken, none of them NaN.
+        window: number of rounds of the mean, none of them NaN.
 
     Returns:
-        One value for each seed, shape [seeds]; infinite where the level is not reached.
+        Rounds, shape [seeds]; infinite if the level is not reached.
 
     Examples:
         >>> curve = np.array([[0.2], [0.4], [0.8], [0.6]])
@@ -209,21 +206,21 @@ def rounds_to_reach(success: Any, level: float, window: int = WINDOW) -> Any:
     if len(success) < window:
         return np.full(success.shape[1], np.inf)
     means = np.lib.stride_tricks.sliding_window_view(success, window, axis=0).mean(-1)
-    # Rates of a few dialogues hit a level exactly, and must not miss it by rounding.
+    # Rates of few dialogues can equal a level; rounding must not make them miss it.
     is_reached = means >= level - 1e-9
     return np.where(is_reached.any(0), is_reached.argmax(0) + window, np.inf)
 
 
 def booked(success: Any, dialogues: int, first: int) -> list[float]:
-    """Share of the first training dialogues that succeeded, one value for each seed.
+    """Returns the share of the first training dialogues that succeeded, per seed.
 
     Args:
         success: success rates of the training dialogues, shape [rounds, seeds].
-        dialogues: of a round.
-        first: how many dialogues count. Of a round that they end in, its rate counts for its part.
+        dialogues: dialogues per round.
+        first: number of dialogues to count; the last round may count in part.
 
     Returns:
-        one value for each seed; empty where fewer dialogues were trained.
+        A value per seed; empty if fewer dialogues were trained.
 
     Examples:
         >>> booked(np.array([[0.0], [0.5], [1.0]]), 50, 75)
@@ -240,12 +237,13 @@ def booked(success: Any, dialogues: int, first: int) -> list[float]:
 
 
 def areas(curve: Any) -> list[float]:
-    """Area under each seed's curve between its first and last value, divided by their distance.
+    """Returns the mean height of each seed's curve between its first and last value.
 
-    The mean height of the curve, its values joined by straight lines.
+    This is the area under the curve, with values joined by straight lines, divided by the distance.
 
     Args:
-        curve: success rates, shape [rounds, seeds]; NaN in rounds without, a value in at least one.
+        curve: success rates, shape [rounds, seeds]; NaN in rounds without a value, at least one
+            value.
 
     Examples:
         >>> areas(np.array([[0.0], [np.nan], [0.5], [0.5]]))

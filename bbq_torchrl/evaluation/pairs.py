@@ -1,8 +1,7 @@
-"""Groups compared by pairs: replicas that trained on the same dialogues, one minus the other.
+"""Paired comparison of groups: differences of replicas that trained on the same dialogues.
 
-A replica of one agent and the replica of the same number in another agent's run of the same seed
-see the same spiked dialogues and, in every round, the same goals and the same noise of the
-simulator. So the luck that both share cancels out of their difference.
+Replicas of the same number in two runs of the same seed see the same spiked dialogues and, in every
+round, the same goals and simulator noise. This shared luck cancels out of their difference.
 """
 
 from __future__ import annotations
@@ -14,23 +13,23 @@ import numpy as np
 
 from bbq_torchrl.evaluation.metrics import areas
 from bbq_torchrl.evaluation.runs import distinguishing_keys
-from bbq_torchrl.reports import NONE
-from bbq_torchrl.statistics import estimate, holm, t_test
+from bbq_torchrl.utils.reports import NONE
+from bbq_torchrl.utils.statistics import estimate, holm, t_test
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from bbq_torchrl.evaluation.groups import Group
-    from bbq_torchrl.statistics import Estimate
+    from bbq_torchrl.utils.statistics import Estimate
 
 ALPHA = 0.05
 
 EARLY = 1_000
-"""Training dialogues that a comparison of early success counts."""
+"""First training dialogues that count as early success."""
 
 NOT_RUN = "not run"
 NOT_PAIRED = "not paired"
-"""Verdict on two that were run, of which fewer than two replicas are partners."""
+"""Verdict on two groups that were run but have fewer than two pairs."""
 
 _OF_DIALOGUES = (
     "env.",
@@ -40,7 +39,7 @@ _OF_DIALOGUES = (
     "protocol.rounds",
     "protocol.dialogues",
 )
-"""Prefixes of the keys that decide which dialogues are seen."""
+"""Prefixes of the keys that determine the dialogues."""
 
 _FIRST_SCRIPT = {"movie": "rule", "miulab": "rule"}
 """Domain -> the script that ``spike.policy=null`` finds in it."""
@@ -49,7 +48,7 @@ NO_PARTNER = (
     "no replica has a partner (one of the same number in a run of the same seed, number of "
     "replicas and device)"
 )
-"""The remark where all else fits."""
+"""The remark on groups with equal settings of the dialogues but no pairs."""
 
 
 @dataclass(frozen=True)
@@ -57,13 +56,13 @@ class Pairing:
     """One group minus another, over replicas that trained on the same dialogues.
 
     Attributes:
-        one: the one group.
-        other: the group that is subtracted.
-        pairs: how many replicas of the one have a partner in the other.
-        differences: of ``final``, ``cumulative``, ``early`` (the first :data:`EARLY` training
-            dialogues, where there are as many) and, over the rounds in which both were evaluated
-            while training, ``area``: one for each pair; empty if there are no pairs.
-        remark: why there are no pairs, or how many replicas have no partner; empty if all have one.
+        one: the minuend.
+        other: the subtrahend.
+        pairs: number of replicas with a partner in the other group.
+        differences: ``final``, ``cumulative``, ``early`` (the first :data:`EARLY` training
+            dialogues, if there are as many) and ``area`` (over the rounds in which both were
+            evaluated during training): a value for each pair; empty without pairs.
+        remark: why there are no pairs, or the number of replicas without a partner; else empty.
     """
 
     one: Group
@@ -82,11 +81,11 @@ def pair(one: Group, other: Group, *, same_dialogues: bool = True) -> Pairing:
     """Compares two groups by pairs.
 
     Args:
-        one: the one group.
-        other: the group that is subtracted.
-        same_dialogues: if False, replicas of one seed are partners even where the setting changes
-            the dialogues themselves. The t test holds for any pairs that were fixed beforehand;
-            but less luck is shared, so that it cancels out less.
+        one: the minuend.
+        other: the subtrahend.
+        same_dialogues: if False, replicas of one seed are partners even if their settings of the
+            dialogues differ. The t test is valid for any pairs fixed beforehand, but less shared
+            luck cancels out.
     """
     if same_dialogues and (different := _different_dialogues(one, other)):
         return Pairing(one, other, remark=", ".join(different))
@@ -108,9 +107,9 @@ def pair(one: Group, other: Group, *, same_dialogues: bool = True) -> Pairing:
 
 
 def _different_dialogues(one: Group, other: Group) -> list[str]:
-    """Returns in which keys the dialogues of two groups differ: ``env.name differs (a, b)``.
+    """Returns the keys in which the dialogues of two groups differ: ``env.name differs (a, b)``.
 
-    A key that one of them lacks, being of another version, is not compared.
+    A key that one of them lacks, as in another version, is not compared.
     """
     ours, theirs = (_with_script(group.setting) for group in (one, other))
     different = {
@@ -132,7 +131,7 @@ def _with_script(setting: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _compared(one: Group, other: Group) -> dict[str, tuple[list[float], list[float]]]:
-    """Returns each quantity of both groups, a value for each seed."""
+    """Returns each quantity of both groups, a value per seed."""
     quantities = {"final": (one.final, other.final)}
     quantities["cumulative"] = (one.cumulative, other.cumulative)
     early = one.booked(EARLY), other.booked(EARLY)
@@ -148,29 +147,29 @@ def _compared(one: Group, other: Group) -> dict[str, tuple[list[float], list[flo
 
 
 def difference(values: Sequence[float]) -> Estimate:
-    """Returns the mean of differences of rates with its t interval, shown with signs."""
+    """Returns the mean of differences of rates with its t interval, printed with signs."""
     return estimate(values, "+.3f", bounds=(-1.0, 1.0))
 
 
 class PValue(float):
-    """A p-value, shown with three decimals."""
+    """A p-value, printed with three decimals."""
 
     def __str__(self) -> str:
         return f"{float(self):.3f}" if self >= 0.001 else "< .001"
 
     def csv_columns(self) -> dict[str, float]:
-        """Returns what stands in the columns of a CSV file."""
+        """Returns the suffix of the CSV column and the number."""
         return {"": float(self)}
 
 
 class Comparison(NamedTuple):
-    """One of some groups minus another one, as declared before anything was run.
+    """A comparison of two groups that was declared before the runs.
 
     Attributes:
-        one: the name of the one.
-        other: the name of the one that is subtracted.
-        differences: one for each pair; None where one of the two was not run.
-        p_value: by a t test of the differences, adjusted by Holm's method; 1 below two pairs.
+        one: the name of the minuend.
+        other: the name of the subtrahend.
+        differences: a value per pair; None if one of the two was not run.
+        p_value: of a t test of the differences, adjusted by Holm's method; 1 below two pairs.
     """
 
     one: str
@@ -184,10 +183,10 @@ class Comparison(NamedTuple):
         return f"{self.one} minus {self.other}"
 
     def cells(self) -> tuple[object, object, str]:
-        """Returns difference, p-value and verdict as they stand in a table.
+        """Returns the cells of a table: mean difference with t interval, p-value, verdict.
 
-        The difference is a mean with its t interval; the verdict is on the claim that it is above
-        0: ``yes``, ``no`` (it is below), ``not significant``, ``not paired`` or ``not run``.
+        The verdict on a difference above 0 is ``yes``, ``no`` (it is below), ``not significant``,
+        ``not paired`` or ``not run``.
         """
         if self.differences is None:
             return NONE, NONE, NOT_RUN
@@ -205,11 +204,10 @@ def compare(
     *,
     same_dialogues: bool = True,
 ) -> list[Comparison]:
-    """Compares what was declared by one quantity, what was not run included.
+    """Returns the declared comparisons by one quantity, including those that were not run.
 
-    The quantity is a name in :attr:`Pairing.differences`, such as ``final``.
-
-    ``same_dialogues`` is that of :func:`pair`.
+    The quantity is a name in :attr:`Pairing.differences`, such as ``final``; ``same_dialogues`` is
+    passed to :func:`pair`.
     """
     found: list[Sequence[float] | None] = []
     for one, other in declared:

@@ -1,12 +1,9 @@
-"""``python -m bbq_torchrl.evaluation.report``: finished runs compared over their seeds.
-
-What is on the results page of the documentation is made by the same functions.
-"""
+"""``bbq report``: compares finished runs over their seeds."""
 
 from __future__ import annotations
 
 if __name__ == "__main__":  # before anything that takes time to import
-    from bbq_torchrl import interruption
+    from bbq_torchrl.utils import interruption
 
     interruption.listen()
 
@@ -15,13 +12,13 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bbq_torchrl import interruption, output
 from bbq_torchrl.evaluation.ablations import ablations_report
 from bbq_torchrl.evaluation.comparison import comparison_report
 from bbq_torchrl.evaluation.grid import grid_report
 from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.runs import find_results, find_unfinished
 from bbq_torchrl.evaluation.table1 import table1_report
+from bbq_torchrl.utils import interruption, output
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -29,7 +26,7 @@ if TYPE_CHECKING:
 FORMS = {
     "table1": (
         table1_report,
-        "the paper's Table 1: its numbers beside, declared pairs, and what is missing",
+        "the paper's Table 1: its numbers next to ours, declared pairs, and missing cells",
     ),
     "grid": (grid_report, "learner x explorer: each learner by each exploration"),
     "ablations": (
@@ -37,7 +34,7 @@ FORMS = {
         "runs that each change one key of a reference; of one key alone, give that first",
     ),
 }
-"""Option -> what makes the report of groups, and its help."""
+"""Flag -> the function that makes the report, and its help."""
 
 
 @output.refusing

@@ -1,4 +1,4 @@
-"""result.json: how a run's final evaluation, and those while it was trained, went."""
+"""result.json: the final evaluation of a run, and the evaluations during its training."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ from statistics import fmean
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from bbq_torchrl.domains.parts import RANDOM_POLICY
-from bbq_torchrl.run_folder import RESULT, write_text
-from bbq_torchrl.statistics import binomial_standard_error
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils.files import RESULT, write_text
+from bbq_torchrl.utils.statistics import binomial_standard_error
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
 LAST = 5
-"""Evaluations while training that ``last_five`` is the mean of."""
+"""Number of evaluations averaged in ``last_five``."""
 
 
 @dataclass(frozen=True)
 class TrainingEvaluation:
-    """The evaluations while training, as success rates.
+    """Success rates of the evaluations during training.
 
     Attributes:
-        last: of the last of them.
-        last_five: mean of the last five, or of as many as there are.
-        best: of the best one: the largest of many noisy rates, so rather too high.
-        best_round: the round at whose end that was, from 0. With domain extension a best from
-            before the domain grew counts only until the next evaluation.
+        last: the last one.
+        last_five: mean of the last five, or of all if fewer.
+        best: the best one; as the maximum of noisy rates it is biased upwards.
+        best_round: the round of the best one, from 0. With domain extension a best from before the
+            domain grew counts only until the next evaluation.
     """
 
     last: float
@@ -44,15 +44,15 @@ class ReplicaResult:
     """The final evaluation of one trained replica.
 
     Attributes:
-        replica: its number.
-        success_rate: of the final evaluation's dialogues.
+        replica: the replica's number.
+        success_rate: share of successful dialogues.
         standard_error: of that rate, over dialogues (binomial).
         reward: mean sum of rewards of a dialogue.
         turns: mean number of agent turns of a dialogue.
         dialogues: number of dialogues evaluated.
         training_success: share of all training dialogues that succeeded (cumulative success).
-        values: dotted key to value, of the keys that have a list with a value for each replica.
-        while_training: of the evaluations while training; None where there were none.
+        values: dotted key -> the replica's value, for keys with a list.
+        while_training: the evaluations during training; None without any.
     """
 
     replica: int
@@ -71,31 +71,31 @@ class RunResult:
     """The content of result.json.
 
     Attributes:
-        agent: option of the group, such as ``bbqn``; likewise ``explore``, ``env``.
-        domain: the domain's own name.
-        policy: how the agent acted when evaluated: ``mean``, ``average``, ``draw``, ``thompson``,
-            ``greedy`` or ``vote``.
-        seed: of the run.
+        agent: the option, such as ``bbqn``; likewise ``explore``, ``env``.
+        domain: the domain's name.
+        policy: the evaluated policy: ``mean``, ``average``, ``draw``, ``thompson``, ``greedy`` or
+            ``vote``.
+        seed: the run's seed.
         rounds: rounds trained.
-        replicas: independent seeds trained side by side.
+        replicas: number of independent seeds trained in parallel.
         success_rate: mean over replicas, whatever their values; likewise reward, turns,
             training_success.
-        standard_error: of success_rate over the dialogues of *these* replicas (binomial). It does
-            not tell how another seed would do: see :mod:`bbq_torchrl.evaluation.report`.
-        dialogues: evaluated in all.
-        per_replica: one entry for each replica.
-        wall_seconds: of training and evaluation together, without the time of killed processes.
-        versions: of the packages that decide the numbers.
-        intrinsic: option of the group; ``none`` in results of versions without it.
-        while_training: of the evaluations while training: means over the replicas, of the round of
-            the best too; None where there were none.
-        scripted: success rates of the scripted policies in the environment of the final
-            evaluation, by name; empty in results of versions without it.
-        references: the same of the privileged policies, which read what no agent is shown.
-        skipped: what of the corpus was left out, a sentence each.
-        commit: of the code, as a hash; None where it ran outside of a checkout, and in results of
-            versions without it. Of a training that was resumed, the last one.
-        clean: whether the code was as in the commit; None where that is not known.
+        standard_error: of success_rate over the dialogues of *these* replicas (binomial). For the
+            spread over seeds see :mod:`bbq_torchrl.evaluation.report`.
+        dialogues: number of dialogues evaluated.
+        per_replica: an entry for each replica.
+        wall_seconds: time of training and evaluation, without that of killed processes.
+        versions: package -> version, for the packages that affect the numbers.
+        intrinsic: the option; ``none`` in results of versions without it.
+        while_training: the evaluations during training, means over the replicas (also of
+            ``best_round``); None without any.
+        scripted: scripted policy -> success rate in the environment of the final evaluation; empty
+            in results of versions without it.
+        references: the same for privileged policies, which read what no agent observes.
+        skipped: a sentence for each part of the corpus left out.
+        commit: hash of the code's commit, the last one for a resumed training; None outside a
+            checkout, and in results of versions without it.
+        clean: whether the code was as committed; None if unknown.
     """
 
     agent: str
@@ -125,23 +125,23 @@ class RunResult:
 
     @property
     def code(self) -> str:
-        """The commit in short: ``c33954a``, ``c33954a (changed)``, or ``unknown``."""
+        """The abbreviated commit: ``c33954a``, ``c33954a (changed)``, or ``unknown``."""
         if self.commit is None:
             return "unknown"
         return self.commit[:7] + (" (changed)" if self.clean is False else "")
 
     @classmethod
     def of(cls, per_replica: Sequence[ReplicaResult], **described: Any) -> RunResult:
-        """The result of replicas that were evaluated on equally many dialogues."""
+        """Returns the result of replicas evaluated on equally many dialogues."""
         return cls(**_summed(per_replica), **described)
 
     def only(self, replicas: Sequence[int]) -> RunResult:
-        """The result of some of the replicas."""
+        """Returns the result of some of the replicas."""
         return replace(self, **_summed([self.per_replica[replica] for replica in replicas]))
 
 
 def _summed(per_replica: Sequence[ReplicaResult]) -> dict[str, Any]:
-    """Returns what a result holds of its replicas together."""
+    """Returns the fields of a result that aggregate its replicas."""
     errors = [item.standard_error for item in per_replica]
     means = ("success_rate", "reward", "turns", "training_success")
     return {
@@ -165,7 +165,7 @@ def replica_result(
     values: Mapping[str, float] | None = None,
     while_training: TrainingEvaluation | None = None,
 ) -> ReplicaResult:
-    """Sums up the dialogues of one replica: one entry of each sequence for each dialogue."""
+    """Summarizes the dialogues of a replica; each sequence has an entry per dialogue."""
     dialogues = len(success)
     rate = fmean(success)
     return ReplicaResult(
@@ -184,11 +184,11 @@ def replica_result(
 def training_evaluation(
     rates: Sequence[float], best: float, best_round: int
 ) -> TrainingEvaluation | None:
-    """Sums up the evaluations of one replica; None if there are none.
+    """Summarizes the evaluations of a replica during training; None without any.
 
     Args:
-        rates: success rate by round; NaN where a round had no evaluation.
-        best: of the best weights that were kept.
+        rates: success rate by round; NaN in rounds without an evaluation.
+        best: success rate of the best weights.
         best_round: their round.
     """
     found = [float(rate) for rate in rates if not math.isnan(rate)]
@@ -210,8 +210,9 @@ def _mean_evaluation(
 def flat_numbers(result: RunResult) -> dict[str, float]:
     """Returns the numbers of a result by name, for a logger.
 
-    Such as ``success_rate``, ``success_rate/replica_0``, ``while_training/best`` and
-    ``scripted/rule``; seed, rounds and replicas are the configuration's.
+    Names are ``success_rate``, ``success_rate/replica_0``, ``while_training/best``,
+    ``scripted/rule`` and so on; seed, rounds and replicas, which the configuration has, are left
+    out.
     """
     plain = asdict(result)
     of_replicas = plain.pop("per_replica")
@@ -235,11 +236,11 @@ def _leaves(plain: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, f
 def reference_lines(
     scripted: Mapping[str, float], privileged: Mapping[str, float]
 ) -> dict[str, float]:
-    """Returns the lines that figures compare agents with: label to success rate.
+    """Returns label -> success rate of the lines that figures compare agents with.
 
     Args:
-        scripted: success rates of scripted policies by name; the best of them is the line to beat.
-        privileged: those of the policies that read what no agent is shown.
+        scripted: scripted policy -> success rate; the best one becomes a line.
+        privileged: privileged policy -> success rate.
 
     Examples:
         >>> reference_lines({"rule": 0.2, "repair": 0.8, "random": 0.0}, {})
@@ -255,13 +256,13 @@ def reference_lines(
 
 
 def best_script(scripted: Mapping[str, float]) -> str | None:
-    """Returns the scripted policy with the highest success rate, but for the random one."""
+    """Returns the scripted policy with the highest success rate, except the random one."""
     names = [name for name in scripted if name != RANDOM_POLICY]
     return max(names, key=scripted.__getitem__, default=None)
 
 
 def write_json(content: RunResult | dict[str, Any], file: Path) -> None:
-    """Writes JSON, atomically, so that a reader never sees half of it."""
+    """Writes JSON atomically."""
     plain = asdict(content) if isinstance(content, RunResult) else content
     write_text(file, json.dumps(plain, indent=2) + "\n")
 
@@ -270,11 +271,11 @@ def read_result(folder: Path) -> RunResult:
     """Reads the result.json of a result folder.
 
     Raises:
-        ValueError: there is none (the run is not finished), or it is damaged.
+        ValueError: the file is missing (the run is not finished) or damaged.
     """
     file = folder / RESULT
     if not file.is_file():
-        raise ValueError(f"{folder} has no {RESULT}: it is no run folder, or not finished")
+        raise ValueError(f"{folder} has no {RESULT}: it is not a run folder, or not finished")
     try:
         plain = json.loads(file.read_text(encoding="utf-8-sig"))
         if not isinstance(plain, dict) or not isinstance(plain.get("per_replica"), list):
@@ -291,10 +292,10 @@ def read_result(folder: Path) -> RunResult:
 
 
 def _made(schema: type[Result], plain: dict[str, Any]) -> Result:
-    """Returns what a mapping describes; a newer version's further keys are left out.
+    """Makes a dataclass from a mapping; unknown keys, of newer versions, are ignored.
 
     Raises:
-        ValueError: what should be a number, a text or a mapping is none.
+        ValueError: a value has the wrong type.
     """
     names = {item.name for item in fields(schema)}
     given = {name: value for name, value in plain.items() if name in names}

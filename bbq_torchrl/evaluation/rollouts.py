@@ -1,4 +1,4 @@
-"""Dialogues with a policy that does not learn: final, while training, or as people read them."""
+"""Dialogues without learning: evaluation at the end and during training, and transcripts."""
 
 from __future__ import annotations
 
@@ -36,19 +36,19 @@ if TYPE_CHECKING:
 def evaluate(
     env: EnvBase, policy: Policy, dialogues: int, *, seed: int = 0, max_steps: int = 1000
 ) -> EpisodeStats:
-    """Plays exactly so many dialogues without exploration, each to its end: how did they go?
+    """Plays exactly ``dialogues`` complete dialogues without exploration.
 
-    Dialogues run side by side in lockstep, so that long ones count as much as short ones.
+    They run in lockstep, so that long ones count as much as short ones.
 
     Args:
-        env: batch size [*replicas, places].
+        env: batch size [*replicas, dialogues in parallel].
         policy: writes an action.
-        dialogues: for each replica.
-        seed: of everything random in them.
-        max_steps: the most turns of a dialogue; one that is longer is an error.
+        dialogues: number of dialogues for each replica.
+        seed: seed of policy and environment.
+        max_steps: maximum number of turns; a longer dialogue is an error.
 
     Returns:
-        success (bool), reward (float64) and turns (int64), each of shape [*replicas, dialogues].
+        Success (bool), reward (float64) and turns (int64), shape [*replicas, dialogues] each.
     """
     batches = evaluation_rollouts(env, policy, dialogues, seed=seed, max_steps=max_steps)
     stats = [episode_stats(batch) for batch in batches]
@@ -58,9 +58,9 @@ def evaluate(
 def evaluation_rollouts(
     env: EnvBase, policy: Policy, dialogues: int, *, seed: int = 0, max_steps: int = 1000
 ) -> Iterator[TensorDictBase]:
-    """Yields the dialogues that :func:`evaluate` counts, a batch at a time.
+    """Yields the dialogues of :func:`evaluate` in batches.
 
-    Args are those of :func:`evaluate`; the rollouts are those of
+    Arguments are those of :func:`evaluate`; rollouts are those of
     :func:`~bbq_torchrl.trainers.rollouts`.
     """
     torch.manual_seed(derive_seed(seed, "torch", "evaluate"))
@@ -76,23 +76,22 @@ _COLUMNS = ("eval_success_rate", "eval_reward", "eval_turns")
 class RoundEvaluator:
     """Plays the reported policy, without exploration, at the end of every few rounds.
 
-    The dialogues are of an environment and a seed of their own, one for each round, so that the
-    training does not notice, and two agents of one seed meet the same users. The domain is in the
-    state of the round.
+    A separate environment, and a separate seed for each round, leave the training unchanged and
+    give two agents of one seed the same users. The domain has the round's slots.
 
     Args:
-        env: batch size [replicas, places], not the training's.
-        policy: returns the policy, sharing the weights that are trained; called for each
-            evaluation, so that draws of weights are new ones.
+        env: batch size [replicas, dialogues in parallel]; not the training environment.
+        policy: returns the policy, which shares the trained weights; called for each evaluation, so
+            that weights are drawn anew.
         every: rounds between two evaluations: the first is at the end of round ``every - 1``.
-        dialogues: of an evaluation, for each replica.
-        seed: the run's.
-        max_steps: the most turns of a dialogue.
-        changes: the rounds in which the environment becomes another one.
+        dialogues: dialogues of an evaluation, for each replica.
+        seed: the run's seed.
+        max_steps: maximum number of turns of a dialogue.
+        changes: the rounds in which the environment changes.
 
     Attributes:
-        best: each replica's weights at its best evaluation. What was before the domain grew counts
-            only until the next evaluation.
+        best: each replica's weights at its best evaluation. An evaluation from before a change
+            counts only until the next evaluation.
     """
 
     env: EnvBase
@@ -124,16 +123,16 @@ class RoundEvaluator:
 
 
 def transcripts(env: DialogueEnv, policy: Policy, dialogues: int, *, seed: int = 0) -> list[str]:
-    """Plays dialogues and returns them as texts, a line a turn.
+    """Plays dialogues and returns them as texts, a line for each turn.
 
-    They are the dialogues that :func:`~bbq_torchrl.evaluation.rollouts.evaluate` counts first with
-    the same environment and seed; of a run of several replicas, the first one's.
+    They are the first dialogues of :func:`evaluate` with the same environment and seed, of the
+    first replica.
 
     Args:
-        env: batch size [replicas, places].
+        env: batch size [replicas, dialogues in parallel].
         policy: writes an action.
-        dialogues: how many.
-        seed: of everything random in them.
+        dialogues: number of dialogues.
+        seed: seed of policy and environment.
     """
     transcript = Transcript(env.simulator.domain)
     recorder = _Recorder(env, policy)
@@ -147,26 +146,26 @@ def transcripts(env: DialogueEnv, policy: Policy, dialogues: int, *, seed: int =
 
 
 class _Recorder(nn.Module):
-    """A policy that keeps what the first replica's dialogues are before each of its actions.
+    """A policy that records the first replica's dialogues before each action.
 
-    A module, so that the policy within is put into evaluation mode as it would be by itself.
+    As a module it passes evaluation mode on to the wrapped policy.
     """
 
     def __init__(self, env: DialogueEnv, policy: Policy) -> None:
         super().__init__()
         self.policy = policy
         self.states: list[TensorDictBase] = []
-        # An environment is a module too; as an attribute it would become a part of the policy.
+        # An environment is a module: as an attribute it would become a submodule.
         self._dialogues = lambda: env.dialogues[0].cpu()
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Notes the dialogues, then acts."""
+        """Records the dialogues, then acts."""
         self.states.append(self._dialogues())
         return self.policy(tensordict)
 
 
 def _text(transcript: Transcript, number: int, states: list[TensorDictBase]) -> str:
-    """Returns one dialogue: its goal, its turns, how it ended."""
+    """Returns the text of a dialogue: goal, turns and outcome."""
     lines = [f"dialogue {number + 1}: {transcript.goal(states[0])}"]
     for state in states:
         lines += [f"  {line}" for line in transcript.lines(state)]

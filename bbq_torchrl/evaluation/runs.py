@@ -1,7 +1,7 @@
-"""Finished runs, as their result folders tell them.
+"""Finished runs, read from their result folders.
 
-A *result folder* holds ``config.yaml``, ``metrics.csv`` and ``result.json``: a run folder is one,
-and so is what ``scripts/keep_result.py`` keeps of one.
+A *result folder* contains ``config.yaml``, ``metrics.csv`` and ``result.json``. It is a run folder,
+or a copy by ``scripts/keep_result.py``.
 """
 
 from __future__ import annotations
@@ -13,9 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.evaluation.results import read_result
-from bbq_torchrl.plain_yaml import read_yaml
-from bbq_torchrl.run_folder import CONFIG, METRICS, RESULT, folder_of, numbers_in_order
-from bbq_torchrl.text import sentence
+from bbq_torchrl.utils.files import CONFIG, METRICS, RESULT, folder_of, numbers_in_order, read_yaml
+from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -26,31 +25,31 @@ if TYPE_CHECKING:
 
 
 _OF_A_SEED = ("seed", "replicas", "resume", "device", "threads", "logger")
-"""Keys in which runs of one setting may differ, whole groups too."""
+"""Keys and groups in which runs of one setting may differ."""
 
 _OF_A_MACHINE = (
     "protocol.checkpoint_every",
     "protocol.keep_checkpoints",
     "protocol.eval_batch",
-    # Evaluating while training leaves no trace in what is trained.
+    # Evaluation during training does not affect the training.
     "protocol.eval_every",
     "protocol.eval_every_dialogues",
 )
 
 _NAMED = ("agent", "explore")
-"""Groups that every configuration of a run has, each with the name of its option."""
+"""Groups that every run's configuration has, with the option's name."""
 
 
 @dataclass(frozen=True)
 class Replica:
-    """A trained replica of a finished run, as the result folder tells it.
+    """A trained replica of a finished run.
 
     Attributes:
         folder: the result folder.
-        number: of the replica.
-        config: the composed configuration of the run, nested mappings.
-        result: of the run's final evaluation.
-        metrics: of the run's training.
+        number: the replica's number.
+        config: the run's composed configuration, nested mappings.
+        result: the run's result.
+        metrics: the run's training metrics.
     """
 
     folder: Path
@@ -66,9 +65,9 @@ class Replica:
 
     @cached_property
     def setting(self) -> dict[str, Any]:
-        """Dotted key to value of all that decides the outcome, but for the seed.
+        """Dotted key -> value of everything but the seed that affects the outcome.
 
-        Of a key with a list, a value for each replica, it is the replica's own.
+        Keys with a list for the replicas have this replica's value.
         """
         flat = {
             key: value
@@ -79,10 +78,10 @@ class Replica:
 
     @property
     def member(self) -> tuple[int, int, str, int]:
-        """Identifies the random numbers it trained with: equal members share them.
+        """Identifier of the replica's random numbers: equal members share them.
 
-        The run's seed, how many replicas it has (random numbers are drawn for all of them
-        together), the type of its device, and the replica's number.
+        The run's seed, its number of replicas (whose random numbers are drawn together), the type
+        of its device, and the replica's number.
         """
         replicas = int(self.config.get("replicas", self.result.replicas))
         device = str(self.config.get("device", "cpu")).partition(":")[0]
@@ -90,7 +89,7 @@ class Replica:
 
     @property
     def updates(self) -> float:
-        """Steps of the optimizer; NaN in metrics of versions that lack them."""
+        """Number of optimizer steps; NaN in metrics of versions without it."""
         if "updates" not in self.metrics.columns:
             return math.nan
         return int(self.metrics["updates"][:, self.number].sum())
@@ -102,11 +101,10 @@ class Replica:
 
 
 def distinguishing_keys(keys: Iterable[str]) -> list[str]:
-    """Returns which keys tell two settings apart: where an option differs, its name says enough.
+    """Reduces the keys in which two settings differ: a different option replaces its keys.
 
     Args:
-        keys: all in which the two differ. Keys in which any of several settings differ would not
-            do: of three options two can be the same, and differ in another key.
+        keys: all keys in which the two settings differ.
 
     Examples:
         >>> distinguishing_keys(["env.every", "env.name", "env.start", "spike.dialogues"])
@@ -118,15 +116,15 @@ def distinguishing_keys(keys: Iterable[str]) -> list[str]:
 
 
 def names_option(key: str) -> bool:
-    """Returns whether a dotted key is the name of a group's option: ``explore.name``."""
+    """Returns whether a dotted key names an option, such as ``explore.name``."""
     return key.partition(".")[2] == "name"
 
 
 def find_results(places: Iterable[Path]) -> list[Path]:
-    """Returns the folders of finished runs that are, or lie anywhere below, the given folders.
+    """Returns the folders of finished runs in or below the given folders.
 
     Raises:
-        ValueError: there is none at all, or one of the folders holds no run.
+        ValueError: no finished run, or a folder without any run.
     """
     found: dict[Path, None] = {}
     nothing: list[ValueError] = []
@@ -147,12 +145,12 @@ def find_results(places: Iterable[Path]) -> list[Path]:
 
 
 def find_unfinished(places: Iterable[Path]) -> list[Path]:
-    """Returns the run folders in or below the given folders that have no result yet.
+    """Returns the unfinished run folders in or below the given folders.
 
-    Those include runs that continue to more rounds, and jobs of a sweep that never began.
+    Those include runs extended to more rounds, and jobs of a sweep that never started.
     """
     files = [file for place in places for name in (CONFIG, METRICS) for file in place.rglob(name)]
-    known = {folder_of(file).resolve(): file for file in files}  # the metrics where there are
+    known = {folder_of(file).resolve(): file for file in files}  # the metrics if they exist
     unfinished = (
         folder
         for folder, file in known.items()
@@ -163,13 +161,13 @@ def find_unfinished(places: Iterable[Path]) -> list[Path]:
 
 
 def _is_of_a_run(file: Path) -> bool:
-    """Returns whether a configuration is a training's; other programs have files of that name."""
+    """Returns whether a configuration belongs to a training, not to another program."""
     config = _readable(file)
     return isinstance(config, dict) and {"agent", "protocol"} <= config.keys()
 
 
 def _is_extended(folder: Path) -> bool:
-    """Returns whether a run with a result continues to more rounds; False for a damaged file."""
+    """Returns whether a run was extended beyond its result; False for a damaged file."""
     try:
         rounds = _readable(folder / CONFIG)["protocol"]["rounds"]
         return bool(read_result(folder).rounds < rounds)
@@ -178,7 +176,7 @@ def _is_extended(folder: Path) -> bool:
 
 
 def _readable(file: Path) -> Any:
-    """Returns what a YAML file holds; None where that cannot be told: reading the run says why."""
+    """Returns the content of a YAML file; None if it cannot be read."""
     try:
         return read_yaml(file.read_text(encoding="utf-8"))
     except (OSError, ValueError):
@@ -189,7 +187,7 @@ def read_run(folder: Path) -> list[Replica]:
     """Reads a result folder. Returns its replicas.
 
     Raises:
-        ValueError: a file is missing or damaged, or the files are not of the same run.
+        ValueError: a file is missing or damaged, or the files belong to different runs.
     """
     result, metrics = read_result(folder), read_metrics(folder)
     if (metrics.rounds, metrics.replicas) != (result.rounds, result.replicas):
@@ -219,19 +217,19 @@ def _flat(config: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
 
 
 _OF_THE_PAPER = {"bbqn": "BBQN", "bootstrap": "DQN-Bootstrap", "dqn": "DQN"}
-"""``agent=`` -> its name. What keys of other agents mean is not known here."""
+"""``agent=`` -> its name in the paper."""
 
 
 def agent_name(config: Mapping[str, Any]) -> str:
     """Returns a name such as ``BBQN-MAP`` or ``DQN-VIME-MC``.
 
-    BBQN-VIME-MC stands for targets and information gain both at weight draws; where the two
-    differ, both are named. An agent or an intrinsic reward that does not come with the package is
-    called by its option's name, in capitals, whatever keys it has.
+    In BBQN-VIME-MC both targets and information gain use weight draws; if the two differ, both are
+    named. Agents and intrinsic rewards from outside the package are named by their option in
+    capitals.
 
     Args:
-        config: the composed configuration, nested mappings; groups that a version did not have
-            yet may be absent.
+        config: the composed configuration, nested mappings; groups unknown to older versions may be
+            absent.
 
     Examples:
         >>> agent_name({"agent": {"name": "dqn"}, "explore": {"name": "boltzmann"}})

@@ -1,10 +1,9 @@
-"""The paper's Table 1 from finished runs: its numbers beside ours, declared pairs, what is missing.
+"""The paper's Table 1 from finished runs: its numbers next to ours, declared pairs, missing cells.
 
-The comparisons are declared here, before anything is trained: BBQN-MAP and each other agent, in
-both domains, by the success of the final evaluation (who ends higher), by that of the first 1,000
-training dialogues (who books more early) and by that of all of them (who books more in training).
-In a domain, the p-values of a quantity are adjusted by Holm's method for all eight, whether they
-have been run or not.
+The comparisons were declared before the training: BBQN-MAP with each other agent, in both domains,
+by success in the final evaluation, in the first 1,000 training dialogues, and in all of them. The
+p-values of a quantity in a domain are adjusted by Holm's method for all eight comparisons, run or
+not.
 """
 
 from __future__ import annotations
@@ -19,8 +18,8 @@ from bbq_torchrl.evaluation.figures import draw_families
 from bbq_torchrl.evaluation.groups import references, runs_report
 from bbq_torchrl.evaluation.metrics import FIRST, reach
 from bbq_torchrl.evaluation.pairs import EARLY, NOT_RUN, compare
-from bbq_torchrl.reports import NONE, Report, Table
-from bbq_torchrl.statistics import estimate, estimate_iqm
+from bbq_torchrl.utils.reports import NONE, Report, Table
+from bbq_torchrl.utils.statistics import estimate, estimate_iqm
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -35,8 +34,8 @@ class PaperCell(NamedTuple):
     """The paper's numbers for an agent, on its corpus and with its noise.
 
     Attributes:
-        success_rate: of 10,000 dialogues after training, mean of five runs.
-        reward: mean of such a dialogue.
+        success_rate: mean of five runs, 10,000 dialogues each after training.
+        reward: mean reward of these dialogues.
     """
 
     success_rate: float
@@ -70,26 +69,26 @@ PAPER = {
 """Environment -> agent -> the paper's cell (AAAI 2018, Table 1)."""
 
 OURS = "BBQN-MAP"
-"""The agent that each other one is compared with."""
+"""The agent that all others are compared with."""
 
 FAMILIES = {
     "BBQN": ("BBQN-MC", "BBQN-VIME-MAP", "BBQN-VIME-MC"),
     "DQN": ("DQN", "DQN-Boltzmann", "DQN-Bootstrap"),
     "DQN with VIME": ("DQN-VIME-MAP", "DQN-VIME-MC"),
 }
-"""Column of the figure -> the agents that are drawn in it, beside BBQN-MAP."""
+"""Column of the figure -> its agents, next to BBQN-MAP."""
 
 LEVEL = 0.5
-"""Training success whose number of dialogues is reported."""
+"""Training success for which the number of dialogues is reported."""
 
 TABLE1_NOTE = """\
 Means over seeds with their 95 % Student t interval; IQM: interquartile mean with a bootstrap
 interval; booked after 500: share of the first 500 training dialogues that succeeded; cumulative:
 share of all of them; dialogues to 0.5: until the mean of five rounds' training success reaches it,
 the median over seeds. Differences by pairs: replicas that saw the same spiked dialogues, goals and
-noise of the simulator. p: of a t test of the differences, by Holm's method for the eight
-comparisons of a column that were declared, those not run included.
-The paper's numbers are of another corpus and other noise."""
+noise of the simulator. p: t test of the differences, adjusted by Holm's method for the eight
+declared comparisons of a column, run or not.
+The paper's corpus and noise were different."""
 
 
 def find_cells(groups: Sequence[Group], env: str) -> dict[str, Group]:
@@ -113,7 +112,7 @@ def find_cells(groups: Sequence[Group], env: str) -> dict[str, Group]:
 
 
 def table1_report(groups: Sequence[Group]) -> Report:
-    """Returns Table 1 and its declared comparisons, first of all what is missing."""
+    """Returns the report: missing cells, Table 1, and its declared comparisons."""
     cells = {env: find_cells(groups, env) for env in PAPER}
     names = [(env, name) for env, agents in PAPER.items() for name in agents]
     missing = [f"{name} with env={env}" for env, name in names if name not in cells[env]]
@@ -134,14 +133,14 @@ def table1_report(groups: Sequence[Group]) -> Report:
 
 
 def draw_table1(
-    cells: Mapping[str, Group], env: str, beside: Mapping[str, float] | None = None
+    cells: Mapping[str, Group], env: str, rates: Mapping[str, float] | None = None
 ) -> Figure:
-    """Draws the agents of Table 1 in an environment: families, each beside BBQN-MAP.
+    """Draws the agents of Table 1 in an environment, in families with BBQN-MAP in each.
 
     Args:
-        cells: those that were run, by the paper's name.
+        cells: the groups that were run, by the paper's name.
         env: the environment.
-        beside: success rates to compare with, by label; None: those that the runs know.
+        rates: label -> success rate to compare with; None for those in the runs' results.
     """
     families = {
         heading: [cells[name] for name in (OURS, *others) if name in cells]
@@ -151,7 +150,7 @@ def draw_table1(
     return draw_families(
         families or {"BBQN": [*cells.values()]},
         title=f"Table 1, env={env}",
-        references=references([*cells.values()]) if beside is None else beside,
+        references=references([*cells.values()]) if rates is None else rates,
     )
 
 
@@ -159,7 +158,7 @@ def comparisons(cells: Mapping[str, Group], env: str, quantity: str) -> list[Com
     """Returns the declared comparisons of an environment by one quantity.
 
     Args:
-        cells: those that were run, by the paper's name.
+        cells: the groups that were run, by the paper's name.
         env: the environment.
         quantity: ``final``, ``early`` or ``cumulative``.
     """
@@ -167,7 +166,7 @@ def comparisons(cells: Mapping[str, Group], env: str, quantity: str) -> list[Com
 
 
 def _cells_table(cells: Mapping[str, Group], env: str) -> Table:
-    """Returns a row for each agent; a cell that was not run is named so."""
+    """Returns the table of the cells, including those that were not run."""
     rows: list[dict[str, Any]] = []
     for name, paper in PAPER[env].items():
         row: dict[str, Any] = {
@@ -201,7 +200,7 @@ def _cells_table(cells: Mapping[str, Group], env: str) -> Table:
 
 
 def _pairs_table(cells: Mapping[str, Group], env: str) -> Table:
-    """Returns a row for each declared comparison."""
+    """Returns the table of the declared comparisons."""
     head = (
         *("by pairs", "final success", "final success: p", "ends higher?"),
         *(f"booked after {EARLY:,}", f"booked after {EARLY:,}: p", "books more early?"),

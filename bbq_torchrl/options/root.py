@@ -61,7 +61,7 @@ class Config:
 
 @dataclass
 class EvaluateConfig:
-    """An evaluation: the root of the configuration of ``python -m bbq_torchrl.evaluate``."""
+    """An evaluation: the root of the configuration of ``bbq evaluate``."""
 
     env: EnvOption = REQUIRED  # type: ignore[assignment]
     domain: DomainOption = REQUIRED  # type: ignore[assignment]

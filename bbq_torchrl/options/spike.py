@@ -19,7 +19,7 @@ from bbq_torchrl.options.settings import (
     optional,
     setting,
 )
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from bbq_torchrl.trainers import Policy, Spike

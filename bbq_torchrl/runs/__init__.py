@@ -1,1 +1,1 @@
-"""Runs: built, trained, evaluated, their folders, resumed and loaded, and the shipped agents."""
+"""Runs: building, training, evaluating, resuming and loading them; shipped agents."""

@@ -1,4 +1,4 @@
-"""Parts of a run besides the agent: domain, spike policy, loggers, evaluation, process settings."""
+"""Parts of a run other than the agent: domain, spike policy, loggers, evaluation, process setup."""
 
 from __future__ import annotations
 
@@ -37,20 +37,20 @@ if TYPE_CHECKING:
 
 
 TRIED = 500
-"""The most dialogues that a scripted policy plays before it counts as one that never succeeds."""
+"""Dialogues after which a scripted policy without a success counts as unusable."""
 
 
 def make_domain(config: Config | EvaluateConfig) -> Domain | None:
-    """Loads the domain of a configuration; None where its environment has none.
+    """Loads the domain of a configuration; None if its environment has no domain.
 
     Raises:
-        ValueError or OSError: the corpus is damaged or not there.
+        ValueError or OSError: the corpus is damaged or missing.
     """
     return config.domain.make() if config.env.has_domain else None
 
 
 def task_of(config: Config, env: EnvBase) -> Task:
-    """Returns the shapes that networks and exploration have to fit."""
+    """Returns the shapes that networks and exploration depend on."""
     inputs, actions = config.env.inactive(env) or (None, None)
     return Task(
         inputs=env.observation_spec["observation"].shape[-1],
@@ -66,22 +66,21 @@ def task_of(config: Config, env: EnvBase) -> Task:
 
 
 def set_up_process(config: Config) -> None:
-    """Sets torch's threads, keeps freed memory, and keeps TorchRL's notices out of the output."""
+    """Sets torch's threads, keeps freed memory, and silences TorchRL's notices."""
     torch.set_num_threads(config.threads)
     keep_freed_memory()
-    if "RL_LOGGING_LEVEL" not in os.environ:  # TorchRL's own variable: the user's word counts
+    if "RL_LOGGING_LEVEL" not in os.environ:  # TorchRL's variable, set by the user
         logging.getLogger("torchrl").setLevel(logging.WARNING)
 
 
 def spike_policy(config: Config, domain: Domain | None) -> str:
-    """Returns the scripted policy that spikes: the one given, else the first that succeeds.
+    """Returns the scripted policy for the spike: ``spike.policy``, or the first that succeeds.
 
-    Each plays with the same seed until a dialogue succeeds, whatever the run's seed, so that all
-    runs of a setting are spiked alike. A script that cannot be played in the first round is left
-    out.
+    The policies are tried with a fixed seed, so that all runs of a setting get the same spike. A
+    policy that cannot be played in the first round is skipped.
 
     Raises:
-        ConfigError: none succeeds in :data:`TRIED` dialogues.
+        ConfigError: no policy succeeds in :data:`TRIED` dialogues.
     """
     if config.spike.policy is not None:
         return config.spike.policy
@@ -90,7 +89,7 @@ def spike_policy(config: Config, domain: Domain | None) -> str:
     for name in names:
         try:
             policy = config.env.make_policy(name, env)
-        except ValueError:  # a script that needs a slot which comes later
+        except ValueError:  # it needs a slot that is added later
             continue
         torch.manual_seed(derive_seed(0, "torch", "spike tried"))
         env.set_seed(derive_seed(0, "env", "spike tried"))
@@ -106,10 +105,10 @@ def spike_policy(config: Config, domain: Domain | None) -> str:
 
 @contextmanager
 def opened_loggers(config: Config, run_folder: Path) -> Iterator[Sequence[Logger]]:
-    """Loggers of a run, which have its configuration. They are closed however the run ends.
+    """Yields the loggers of a run, with its configuration logged, and closes them.
 
     Raises:
-        ConfigError: the option has made no list of loggers, or they cannot be used.
+        ConfigError: the option did not return a list of loggers, or they cannot be used.
     """
     option = config.logger
     made = option.make(run_folder, resume=config.resume is not None)
@@ -125,20 +124,20 @@ def opened_loggers(config: Config, run_folder: Path) -> Iterator[Sequence[Logger
 
 
 def checked_policy(option: Option, made: Any) -> Any:
-    """Returns a policy and its metrics, as an option of ``explore`` must make them."""
+    """Checks and returns the policy and metrics that an option of ``explore`` made."""
     return _checked(option, made, "a policy and a dict of metrics", nn.Module, Mapping)
 
 
 def checked_loss(option: Option, made: Any) -> Any:
-    """Returns a loss and its transforms, as an option of ``intrinsic`` must make them."""
+    """Checks and returns the loss and transforms that an option of ``intrinsic`` made."""
     return _checked(option, made, "a loss and a list of transforms", nn.Module, (Iterable, Compose))
 
 
 def _checked(option: Option, made: Any, what: str, *kinds: type | tuple[type, ...]) -> Any:
-    """Returns the parts that an option's ``make`` has made.
+    """Checks and returns the parts that an option's ``make`` returned.
 
     Raises:
-        ConfigError: they are not of these kinds.
+        ConfigError: a part has another type.
     """
     parts = made if isinstance(made, (tuple, list)) else (made,)
     if len(parts) != len(kinds) or not all(map(isinstance, parts, kinds)):
@@ -148,7 +147,7 @@ def _checked(option: Option, made: Any, what: str, *kinds: type | tuple[type, ..
 
 
 def transition_keys(env: EnvBase) -> list[NestedKey]:
-    """Returns the entries of a transition that the environment has."""
+    """Returns the keys of the environment's transitions."""
     masks = () if action_mask_key(env) else ("action_mask", ("next", "action_mask"))
     return [key for key in TRANSITION_KEYS if key not in masks]
 
@@ -156,7 +155,7 @@ def transition_keys(env: EnvBase) -> list[NestedKey]:
 def round_evaluator(
     config: Config, domain: Domain | None, actor: QValueActor
 ) -> RoundEvaluator | None:
-    """Returns the evaluation of an agent while it is trained; None without one."""
+    """Returns the evaluator used during training; None with ``protocol.eval_every=0``."""
     protocol = config.protocol
     if not protocol.eval_every:
         return None
@@ -173,7 +172,7 @@ def round_evaluator(
 
 
 def values_as_metrics(config: Config) -> dict[str, Callable[[], Tensor]]:
-    """Returns metrics of the keys that have a list: each replica's value."""
+    """Returns a metric for each key with a list: the values of the replicas."""
     per_replica = replica_values(config)
     columns = {
         key: torch.tensor([values[key] for values in per_replica], dtype=torch.float64)
@@ -182,15 +181,15 @@ def values_as_metrics(config: Config) -> dict[str, Callable[[], Tensor]]:
     return {key: column.clone for key, column in columns.items()}
 
 
-_SECONDS = 30.0  # a network drive is slow, but a run must not wait for its commit forever
+_SECONDS = 30.0  # git on a network drive is slow, but must not block a run
 
 
 class Checkout(NamedTuple):
     """The state of the code.
 
     Attributes:
-        commit: the hash of the commit that is checked out; None outside of a checkout.
-        clean: whether the working tree is as committed, by ``git status``; None if unknown.
+        commit: the hash of the commit checked out; None outside a checkout.
+        clean: whether ``git status`` reports no changes; None if unknown.
     """
 
     commit: str | None = None
@@ -201,8 +200,8 @@ def checkout(folder: Path | None = None) -> Checkout:
     """Returns the commit of a package's code, and whether the working tree is clean.
 
     Args:
-        folder: of the package, this one by default. If git does not track its ``__init__.py``, it
-            was installed from elsewhere, perhaps below another project's checkout.
+        folder: the package's folder; this package's by default. If git does not track its
+            ``__init__.py``, the package is installed and perhaps lies in another checkout.
     """
     folder = Path(bbq_torchrl.__file__).parent if folder is None else folder
     if _git(folder, "ls-files", "--error-unmatch", "__init__.py") is None:
@@ -215,11 +214,11 @@ def checkout(folder: Path | None = None) -> Checkout:
 
 
 def _git(folder: Path, *command: str) -> str | None:
-    """Returns what git prints; None if there is no git, or it fails."""
-    # GIT_DIR and the like, set where a hook starts a run, would name another repository.
+    """Returns git's output; None if git is missing or fails."""
+    # GIT_DIR and the like, set if a git hook starts the run, name another repository.
     environment = {key: value for key, value in os.environ.items() if not key.startswith("GIT_")}
     try:
-        # Without locks: jobs that start together must not get in each other's way.
+        # Without locks, so that jobs that start together do not block one another.
         done = subprocess.run(
             ["git", "--no-optional-locks", "-C", str(folder), *command],
             capture_output=True,

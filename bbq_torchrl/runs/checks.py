@@ -8,16 +8,16 @@ from typing import TYPE_CHECKING, NamedTuple
 import torch
 
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.run_folder import CHECKPOINTS, METRICS, RESULT
 from bbq_torchrl.runs.build import make_domain, spike_policy
 from bbq_torchrl.runs.resume import description, result_of
-from bbq_torchrl.text import shown
 from bbq_torchrl.trainers import (
     CheckpointDamagedError,
     CheckpointFolder,
     derive_seed,
     rollouts,
 )
+from bbq_torchrl.utils.files import CHECKPOINTS, METRICS, RESULT
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
@@ -25,12 +25,12 @@ if TYPE_CHECKING:
 
 
 class Checked(NamedTuple):
-    """A checked configuration, and what the checks had to load that the run needs as well.
+    """A checked configuration, and the parts loaded for the checks, which the run reuses.
 
     Attributes:
-        config: what to run.
-        domain: of the dialogues; None where the environment has none.
-        spiking: the scripted policy that spikes the buffer; None where nothing is spiked.
+        config: the configuration.
+        domain: the domain; None if the environment has no domain.
+        spiking: the scripted policy of the spike; None without a spike.
     """
 
     config: Config
@@ -42,11 +42,11 @@ def check(config: Config) -> Checked:
     """Checks device, logger, corpus, scripted policy and checkpoint before anything runs.
 
     Raises:
-        ConfigError: the device is absent, the logger cannot be used here, the domain has
-            no such scripted policy, or the spike would fill the replay buffer.
-        TrainingError: the run to resume has nothing to continue from.
-        ValueError or OSError: the corpus is damaged or not there, or the spike cannot be played
-            in the first round.
+        ConfigError: the device is absent, the logger cannot be used here, the domain lacks the
+            scripted policy, or the spike would fill the replay buffer.
+        TrainingError: the run to resume has no usable checkpoint.
+        ValueError or OSError: the corpus is damaged or missing, or the spike cannot be played in
+            the first round.
     """
     check_device(config.device)
     config.logger.check_ready()
@@ -71,18 +71,18 @@ def check(config: Config) -> Checked:
 
 
 def _check_resumable(folder: Path, config: Config) -> None:
-    """Raises CheckpointDamagedError if a run has begun and has no checkpoint to go on from."""
+    """Raises CheckpointDamagedError if a run has started but has no checkpoint to continue from."""
     if result_of(folder, config.protocol.rounds) is not None:
-        return  # what is missing is drawn, not trained
+        return  # only the curve may be missing
     found = CheckpointFolder(folder / CHECKPOINTS).check(description(config), "replay")
     if not found and any((folder / name).exists() for name in (METRICS, RESULT)):
         raise CheckpointDamagedError.gone(folder)
 
 
 def _check_spike(config: Config, domain: Domain | None, name: str) -> None:
-    """Refuses a policy that needs a slot that comes later, and a capacity that the spike fills.
+    """Refuses a policy that needs a slot added later, and a capacity that the spike would fill.
 
-    The spike is played where the number of its transitions is not plain.
+    Dialogues are played if the number of their transitions cannot be bounded otherwise.
     """
     spike, capacity = config.spike, config.protocol.capacity
     if config.env.extends:

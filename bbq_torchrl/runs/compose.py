@@ -1,7 +1,6 @@
 """Composing and checking configurations.
 
-The only module that talks to Hydra's configuration store: a :func:`session` registers every option
-in its group.
+The only module that uses Hydra's configuration store.
 """
 
 from __future__ import annotations
@@ -39,8 +38,6 @@ from bbq_torchrl.options import (
 from bbq_torchrl.options.registry import EXPERIMENT, conf_folder, options, options_folder
 from bbq_torchrl.options.settings import walk
 from bbq_torchrl.options.values import keys_with_lists
-from bbq_torchrl.pages import page
-from bbq_torchrl.plain_yaml import check_yaml
 from bbq_torchrl.runs.folders import quoted
 from bbq_torchrl.runs.overrides import (
     allowed,
@@ -54,7 +51,9 @@ from bbq_torchrl.runs.overrides import (
     train_command,
     unknown_key,
 )
-from bbq_torchrl.text import conceal_environment, sentence, shown
+from bbq_torchrl.utils.files import check_yaml
+from bbq_torchrl.utils.output import page
+from bbq_torchrl.utils.text import conceal_environment, sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -75,7 +74,7 @@ _registered: set[tuple[str, str]] = set()
 
 
 def register_options() -> None:
-    """Tells Hydra of the roots, and of every option that it does not know yet."""
+    """Registers the roots and all options with Hydra."""
     store = ConfigStore.instance()
     for root, name in ROOTS.items():
         store.store(name=f"_{name}", node=root)
@@ -87,7 +86,7 @@ def register_options() -> None:
             if not issubclass(option, AgentOption):
                 store.store(group=group, name=name, node=option)
                 continue
-            # An agent chooses its own strategy, where the command line does not.
+            # An agent chooses its default strategy.
             own = {"override /explore@_global_.explore": option.explores_by}
             store.store(group=group, name=f"_{name}", node=option)
             store.store(group=group, name=name, node={"defaults": [f"_{name}", own, "_self_"]})
@@ -106,7 +105,7 @@ def register_options() -> None:
 
 
 def explorations_table() -> str:
-    """Returns the strategies that each agent can use, as text, one line an agent.
+    """Returns the strategies that each agent can use, as text, a line per agent.
 
     Examples:
         >>> next(line for line in explorations_table().splitlines() if "=bootstrap " in line)
@@ -126,7 +125,7 @@ def _indented_lists() -> str:
 
 
 def keys_of_others() -> str:
-    """The keys that no page of ours can have: those of options which others have added."""
+    """Returns the keys of options from outside the package, which our pages lack, as text."""
     lines = []
     for group, known in schemas().items():
         for name, option in known.items():
@@ -143,7 +142,7 @@ def keys_of_others() -> str:
 
 
 def _literal(text: str) -> str:
-    """Returns a text as Hydra shows it, which takes what it shows for a template."""
+    """Escapes a text for Hydra's help, which is a template."""
     return text.replace("$", "$$")
 
 
@@ -154,7 +153,7 @@ def _indented_groups() -> str:
 
 @contextlib.contextmanager
 def session() -> Iterator[Any]:
-    """A Hydra session on the ``conf`` folder; leaves whatever session was open as it was."""
+    """Opens a Hydra session on the ``conf`` folder, and restores the previous one at the end."""
     register_options()
     before = GlobalHydra.instance().hydra
     GlobalHydra.instance().clear()
@@ -162,16 +161,16 @@ def session() -> Iterator[Any]:
         with initialize_config_dir(str(conf_folder()), version_base="1.3"):
             yield GlobalHydra.instance().hydra
     finally:
-        GlobalHydra.instance().hydra = before  # Hydra has put a copy in the instance's place
+        GlobalHydra.instance().hydra = before  # initialize_config_dir leaves a copy
 
 
 def compose_raw(
     overrides: Sequence[str], root: type = Config, run: Config | None = None
 ) -> DictConfig:
-    """Composes YAML files and overrides inside a :func:`session`, Hydra's own part too.
+    """Composes YAML files and overrides in a :func:`session`, with Hydra's part.
 
-    Values have the types of their keys, but are not yet checked. With ``run``, what is not given
-    is that run's: its options, and their keys; for another training, its other keys too.
+    Values have their keys' types but are not checked further. With ``run``, options and their keys
+    default to that run's; for a training, all keys do.
 
     Raises:
         ConfigError: an unknown group, option or key, or a value of the wrong type.
@@ -187,7 +186,7 @@ def compose_raw(
         if run is not None:
             take_values(composed, run, overrides, root)
         return composed
-    # The last three: very long or deep texts, and numbers of thousands of digits.
+    # The last ones: very long or deep texts, and numbers of thousands of digits.
     except (
         HydraException,
         OmegaConfBaseException,
@@ -201,7 +200,7 @@ def compose_raw(
 
 
 def options_of(run: Config, overrides: Sequence[str], root: type = Config) -> list[str]:
-    """Returns the overrides that choose a run's options where a command line chooses none."""
+    """Returns overrides that choose a run's options in the groups that a command line omits."""
     given = set(map(key_of, overrides))
     return [f"{name}={getattr(run, name).name}" for name in groups_of(root) if name not in given]
 
@@ -209,7 +208,7 @@ def options_of(run: Config, overrides: Sequence[str], root: type = Config) -> li
 def take_values(
     composed: DictConfig, run: Config, overrides: Sequence[str], root: type = Config
 ) -> None:
-    """Gives a configuration with a run's options the run's values where a command line has none."""
+    """Sets the keys that a command line omits to the values of a run."""
     given = set(map(key_of, overrides))
     shared = groups_of(root) if root is EvaluateConfig else [item.name for item in fields(root)]
     for key, _, value in walk(run):
@@ -218,9 +217,9 @@ def take_values(
 
 
 def why_refused(error: Exception, overrides: Sequence[str], root: type = Config) -> str:
-    """One sentence for overrides that Hydra cannot compose; inside a :func:`session`."""
+    """Explains in one sentence why overrides cannot be composed; call it in a :func:`session`."""
     composed = None
-    with contextlib.suppress(Exception):  # an option or a file that cannot be read
+    with contextlib.suppress(Exception):  # an unreadable option or file
         composed = hydra_compose(
             ROOTS[root], searched(group_choices(overrides)), return_hydra_config=True
         )
@@ -228,21 +227,21 @@ def why_refused(error: Exception, overrides: Sequence[str], root: type = Config)
 
 
 def run_of(overrides: Sequence[str], key: str) -> str | None:
-    """The text that a command line has for the key of a run folder; None if it has none."""
+    """Returns the run folder that a command line gives for a key; None without one."""
     given = [override for override in overrides if key_of(override) == key]
     if not given or too_large(given):
         return None
     try:
         value = OverridesParser.create().parse_override(given[-1]).value()
-    except (HydraException, ValueError):  # refused when it is composed
+    except (HydraException, ValueError):  # refused later, when composed
         return None
     if isinstance(value, (int, float)):
-        return given[-1].partition("=")[2]  # a folder may be called 1.50
+        return given[-1].partition("=")[2]  # a folder may be named 1.50
     return value if isinstance(value, str) else None
 
 
 def searched(overrides: Sequence[str]) -> list[str]:
-    """Returns overrides by which Hydra finds the YAML files of a folder of options next to ours."""
+    """Adds a folder of options, if one is loaded, to Hydra's search path."""
     folder = options_folder()
     if folder is None:
         return list(overrides)
@@ -250,12 +249,10 @@ def searched(overrides: Sequence[str]) -> list[str]:
 
 
 def to_config(typed: DictConfig, root: type[Root]) -> Root:
-    """The checked dataclass of a configuration whose values have their keys' types.
-
-    Hydra has given them these when it composed. Paths become absolute.
+    """Returns the checked dataclass of a composed configuration. Paths become absolute.
 
     Raises:
-        ConfigError: the first value or combination that cannot be run.
+        ConfigError: the first invalid value or combination.
     """
     conceal_environment(str(OmegaConf.to_container(typed, resolve=False)))
     typed = copy.deepcopy(typed)
@@ -285,14 +282,14 @@ def to_config(typed: DictConfig, root: type[Root]) -> Root:
                 f"choose by {group}={option.name}"
             )
     if path := getattr(config.domain, "path", ""):
-        # Of the folder that the command began in: with hydra.job.chdir=true a job is elsewhere.
+        # Relative to where the command started: with hydra.job.chdir=true a job runs elsewhere.
         config.domain.path = os.path.abspath(to_absolute_path(os.path.expanduser(path)))  # type: ignore[attr-defined]
     validate(config)
     return config
 
 
 def _unresolved(typed: DictConfig, key: str) -> Any:
-    """Returns a value as it was written, with the references in it."""
+    """Returns a value with its references unresolved."""
     plain: Any = OmegaConf.to_container(typed, resolve=False)
     for name in re.findall(r"[^.\[\]]+", key):
         plain = plain[int(name) if isinstance(plain, list) else name]
@@ -303,7 +300,7 @@ def load_yaml(file: Path, of: str) -> DictConfig | ListConfig:
     """Reads a YAML file.
 
     Raises:
-        ConfigError: it cannot be read as YAML; the message says what it should be the file of.
+        ConfigError: it cannot be read as YAML; the message has ``of``, what the file describes.
     """
     try:
         check_yaml(file.read_text(encoding="utf-8"))
@@ -315,10 +312,10 @@ def load_yaml(file: Path, of: str) -> DictConfig | ListConfig:
 
 
 def read_config(plain: DictConfig) -> Config:
-    """The checked dataclass of the plain values in a training's YAML file.
+    """Returns the checked dataclass of a saved training configuration.
 
     Raises:
-        ConfigError: as :func:`to_config` does.
+        ConfigError: as :func:`to_config`.
     """
     typed = OmegaConf.structured(Config)
     try:
@@ -339,7 +336,7 @@ def _not_given(key: str) -> ConfigError:
 
 
 def _check_saved(group: str, plain: DictConfig, typed: DictConfig) -> None:
-    """Refuses what OmegaConf would merge without a word, or without naming the key."""
+    """Refuses values that OmegaConf would merge silently, or refuse without naming the key."""
     for name in map(str, plain):
         key = f"{group}.{name}"
         if OmegaConf.is_missing(plain, name):
@@ -365,15 +362,15 @@ def compose(
     root: type[Root] = Config,  # type: ignore[assignment]
     run: Config | None = None,
 ) -> Root:
-    """The checked configuration that a command line of overrides stands for.
+    """Returns the checked configuration of a command line.
 
     Args:
         overrides: as on the command line, such as ``["agent=dqn", "protocol.rounds=20"]``.
-        root: :class:`Config` for a training run, :class:`EvaluateConfig` for an evaluation.
-        run: whose options and keys are taken where the command line gives none.
+        root: :class:`Config` for a training, :class:`EvaluateConfig` for an evaluation.
+        run: a run that provides the default options and keys.
 
     Raises:
-        ConfigError: one sentence that says which key is wrong and what it may be.
+        ConfigError: one sentence that names the wrong key and its allowed values.
 
     Examples:
         >>> compose(["agent=dqn"]).explore.name

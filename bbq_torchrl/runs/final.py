@@ -1,4 +1,4 @@
-"""The final evaluation of a run: the agent's, and that of policies that do not learn."""
+"""The final evaluation of a run: the agent, scripted and privileged policies, and the curve."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ from bbq_torchrl.evaluation.runs import Replica
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.values import replica_values
 from bbq_torchrl.protocols import enter_round
-from bbq_torchrl.run_folder import CURVE
 from bbq_torchrl.trainers import NonFiniteWeightsError, RunFolderGoneError
+from bbq_torchrl.utils.files import CURVE
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,7 +47,7 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 
 OTHERS_DIALOGUES = 1_000
-"""Dialogues of each policy that the agent is compared with: all of them take a second."""
+"""Dialogues of each policy that the agent is compared with; all of them take a second."""
 
 
 def final_result(
@@ -58,15 +58,15 @@ def final_result(
     trainer: RoundTrainer,
     code: Checkout,
 ) -> RunResult:
-    """Plays the final evaluation, in the state of the domain in which training ended.
+    """Plays the final evaluation with the slots that were active when training ended.
 
     Args:
-        config: of the run.
-        folder: of the run, with the metrics of the training.
-        domain: what it was about.
-        agent: what has learned.
-        trainer: what trained it.
-        code: the state of the code that trained it.
+        config: the run's configuration.
+        folder: the run folder.
+        domain: the run's domain.
+        agent: the trained agent.
+        trainer: its trainer, with the metrics of the training.
+        code: the state of the code at the start of the run.
     """
     started, rows = time.perf_counter(), trainer.metrics.rows
     trained = sum(row["seconds"] for row in rows if row["replica"] == 0)
@@ -130,7 +130,7 @@ def draw_curve(
     domain: Domain | None,
     spiking: str | None,
 ) -> None:
-    """Draws the learning curve: of the metrics in memory, or in the folder of a finished run."""
+    """Draws the learning curve from the metrics in memory, or in the folder of a finished run."""
     rows = trainer.metrics.rows
     try:
         groups = _groups(config, folder, result, rows) if rows else read_groups([folder])
@@ -158,10 +158,7 @@ def _groups(
 
 
 def _others(config: Config, domain: Domain | None) -> dict[str, dict[str, float]]:
-    """Returns success rates of policies that do not learn, as :class:`RunResult` has them.
-
-    In the state of the domain in which training ended.
-    """
+    """Returns success rates of scripted and privileged policies, as in :class:`RunResult`."""
     dialogues = min(config.protocol.eval_dialogues, OTHERS_DIALOGUES)
     env = _last_env(config, domain, 1, dialogues)
 
@@ -170,7 +167,7 @@ def _others(config: Config, domain: Domain | None) -> dict[str, dict[str, float]
         for name in names:
             try:
                 policy = config.env.make_policy(name, env)
-            except ValueError as error:  # a script that needs a slot which has not come yet
+            except ValueError as error:  # it needs a slot that was never added
                 _LOG.warning("left out of the result: %s", error)
                 continue
             played = _played(config, env, policy, dialogues)
@@ -184,7 +181,7 @@ def _others(config: Config, domain: Domain | None) -> dict[str, dict[str, float]
 
 
 def _last_env(config: Config, domain: Domain | None, replicas: int, places: int) -> EnvBase:
-    """Makes the environment as it was in the last round of the training."""
+    """Makes the environment of the last training round."""
     env = config.env.make(domain, (replicas, places), device=config.device)
     enter_round(env, max(config.protocol.rounds - 1, 0))
     return env

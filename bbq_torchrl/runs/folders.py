@@ -1,4 +1,4 @@
-"""The folder of a run or a sweep: its name, how it is made, and its lock."""
+"""The folder of a run or a sweep: name, creation and lock."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from filelock import FileLock, Timeout
 from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.run_folder import CHECKPOINTS, CONFIG, HYDRA, LOCK, PROCESS, write_text
 from bbq_torchrl.runs.overrides import key_of
-from bbq_torchrl.text import sentence
+from bbq_torchrl.utils.files import CHECKPOINTS, CONFIG, HYDRA, LOCK, PROCESS, write_text
+from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 
 
 def refuse_other_folder(overrides: Sequence[str], other: str, its: str, own: str) -> None:
-    """Refuses the folder of a sweep for a single run, and the other way round."""
+    """Refuses ``hydra.sweep.dir`` for a single run, and ``hydra.run.dir`` for a sweep."""
     for override in overrides:
         if re.match(rf"[+]*hydra\.{other}\.\w+=", override):
             raise ConfigError(
@@ -33,12 +33,12 @@ def refuse_other_folder(overrides: Sequence[str], other: str, its: str, own: str
             )
 
 
-def run_folder(composed: DictConfig, overrides: Sequence[str], held: ExitStack) -> Path:
-    """The folder of a new run, which is locked: the one given, or one of a free name."""
+def run_folder(composed: DictConfig, overrides: Sequence[str], locks: ExitStack) -> Path:
+    """Returns the folder of a new run, locked: ``hydra.run.dir``, or a free default name."""
     folder = named_folder(composed, "run")
     if "hydra.run.dir" not in map(key_of, overrides):
         folder = reserve(folder)
-    held.enter_context(run_lock(folder))
+    locks.enter_context(run_lock(folder))
     if (folder / CONFIG).exists():
         raise ConfigError(f"{folder} already holds a run; continue it by resume={folder}")
     return folder
@@ -57,7 +57,7 @@ def named_folder(composed: DictConfig, kind: str) -> Path:
 
 
 def reserve(folder: Path) -> Path:
-    """Makes a folder that nobody else has: the given one, or the first free ``<folder>_<n>``."""
+    """Makes a new folder: the given one, or the first free ``<folder>_<n>``."""
     folder.parent.mkdir(parents=True, exist_ok=True)
     candidate, number = folder, 1
     while True:
@@ -71,36 +71,36 @@ def reserve(folder: Path) -> Path:
 
 
 def quoted(path: Path | str) -> str:
-    """Returns a path as a value that Hydra reads as it is."""
+    """Returns a path quoted for Hydra."""
     text = os.fspath(path).replace("\\", "\\\\").replace("'", "\\'")
     return f"'{text}'"
 
 
 def refuse_links(folder: Path) -> None:
-    """Refuses a folder in which a symbolic link stands where a run writes.
+    """Refuses a folder with symbolic links where a run writes.
 
-    Whoever made the folder would choose by it which other file is overwritten or deleted.
+    By a link the folder's author could have any other file overwritten or deleted.
 
     Raises:
-        ConfigError: something in the folder, or in Hydra's or that of the checkpoints, is a link.
+        ConfigError: the folder, or its subfolder of Hydra or the checkpoints, contains a link.
     """
     for place in (folder, folder / HYDRA, folder / CHECKPOINTS):
         for path in sorted(place.iterdir()) if place.is_dir() else ():
             if path.is_symlink():
                 raise ConfigError(
-                    f"{path} is a symbolic link, through which a run would write elsewhere: put "
-                    "what it stands for in its place, or remove it"
+                    f"{path} is a symbolic link, through which a run would write elsewhere: "
+                    "replace it by its target, or remove it"
                 )
 
 
 @contextmanager
 def run_lock(folder: Path) -> Iterator[None]:
-    """Locks a run folder; a process may do so several times.
+    """Locks a run folder; reentrant within a process.
 
-    The operating system lets the lock go when the process ends, however it ends.
+    The operating system releases the lock when the process ends, even if it is killed.
 
     Raises:
-        ConfigError: another process holds it, the folder cannot be written, or it has links.
+        ConfigError: another process has the lock, the folder cannot be written, or it has links.
     """
     try:
         folder.mkdir(parents=True, exist_ok=True)
@@ -117,7 +117,7 @@ def run_lock(folder: Path) -> Iterator[None]:
             f"{folder} cannot be used as a run folder: {error.strerror or error}"
         ) from error
     note = folder / PROCESS
-    with suppress(OSError):  # only the sentence for another process is poorer without
+    with suppress(OSError):  # the note only improves an error message
         write_text(note, f"{os.getpid()} on {platform.node()}\n")
     try:
         yield
@@ -129,7 +129,7 @@ def run_lock(folder: Path) -> Iterator[None]:
 
 
 def _named(folder: Path) -> str:
-    """Returns the process that works in a folder, as it has noted itself; ``it`` without a note."""
+    """Returns the process noted in a folder; ``it`` without a note."""
     with suppress(OSError, ValueError):
         if noted := re.fullmatch(r"(\d+) on ([\w.-]+)\n", (folder / PROCESS).read_text("utf-8")):
             return f"process {noted[1]} on {noted[2]}"

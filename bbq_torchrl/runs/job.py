@@ -1,10 +1,10 @@
-"""A training as Hydra's job: refused before it has a folder, ended by one sentence.
+"""A training as Hydra's job: invalid input is refused before a folder exists, in one sentence.
 
 Hydra parses the command line, composes, names the folder, logs, sweeps and launches.
-:class:`Checks`, the callback in ``conf/config.yaml``, looks at what it composed before a folder
-exists: a wrong value, combination, device or corpus ends the command by a sentence and exit code 2,
-for each job of a sweep, too. What Hydra cannot compose is checked against the schemas of the
-options (:mod:`bbq_torchrl.runs.overrides`).
+:class:`Checks`, the callback in ``conf/config.yaml``, checks the composed configuration first: an
+invalid value, combination, device or corpus ends the command with exit code 2, also if it is one of
+many jobs of a sweep. Overrides that Hydra cannot compose are checked against the options' schemas
+(:mod:`bbq_torchrl.runs.overrides`).
 """
 
 from __future__ import annotations
@@ -25,11 +25,9 @@ from hydra.errors import CompactHydraException
 from hydra.experimental.callback import Callback
 from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
-from bbq_torchrl import interruption, output
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import load_folder, options_folder
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.run_folder import CONFIG
 from bbq_torchrl.runs.compose import register_options, session, to_config, why_refused
 from bbq_torchrl.runs.folders import quoted, refuse_other_folder, run_folder
 from bbq_torchrl.runs.overrides import (
@@ -40,8 +38,10 @@ from bbq_torchrl.runs.overrides import (
     without_sweeps,
 )
 from bbq_torchrl.runs.resume import Resumption, is_finished, restarted_config
-from bbq_torchrl.runs.sweeps import FULL_ERROR, Sweep, prepare_sweep, refuse_unswept, tell_no_job
-from bbq_torchrl.text import sentence
+from bbq_torchrl.runs.sweeps import FULL_ERROR, Sweep, prepare_sweep, refuse_unswept, silence_jobs
+from bbq_torchrl.utils import interruption, output
+from bbq_torchrl.utils.files import CONFIG
+from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -53,14 +53,14 @@ if TYPE_CHECKING:
 _LOG = logging.getLogger(__name__)
 
 REFUSED = 2
-"""Exit code of a command that was refused; a run that an error stops ends with 1, Hydra's code."""
+"""Exit code of a refused command; a run stopped by an error has Hydra's code, 1."""
 
 
 @dataclass
 class _Command:
-    """State that the command, Hydra's callback and the job of one process share."""
+    """State shared by the command, Hydra's callback and the job in one process."""
 
-    held: ExitStack = field(default_factory=ExitStack)
+    locks: ExitStack = field(default_factory=ExitStack)
     resumption: Resumption | None = None
     run: Checked | None = None
     sweep: Sweep | None = None
@@ -71,52 +71,52 @@ _command = _Command()
 
 
 class UsageError(CompactHydraException):
-    """A job that stopped for a reason that its text says; Hydra prints it without a traceback."""
+    """An error whose message suffices; Hydra prints it without a traceback."""
 
 
 class _Stopped(BaseException):
-    """Carries what stopped a run past Hydra, which would add to what it says."""
+    """Carries an exception past Hydra, which would print more than its message."""
 
 
 class Checks(Callback):
-    """Checks what Hydra has composed, before a folder exists."""
+    """Checks the configuration that Hydra composed, before a folder exists."""
 
     def on_run_start(self, config: DictConfig, **_: Any) -> None:
         """Checks a single run, and chooses and locks its folder."""
         with _refusing():
             overrides = _overrides(config)
-            _command.run = begin(config, overrides, _command.held, _command.resumption)
+            _command.run = begin(config, overrides, _command.locks, _command.resumption)
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
-        """Checks every job of a sweep, and makes its folder."""
+        """Checks every job of a sweep, and makes the sweep's folder."""
         with _refusing():
             sweep = prepare_sweep(_overrides(config))
         with read_write(config), open_dict(config):
             config.hydra.sweep.dir = str(sweep.folder)
             config.hydra.overrides.hydra.append(f"hydra.sweep.dir={quoted(sweep.folder)}")
         if not _command.wants_traceback:
-            os.environ.pop(FULL_ERROR, None)  # what fails is told by Hydra, job by job
+            os.environ.pop(FULL_ERROR, None)  # Hydra reports failures job by job
         _command.sweep = sweep
-        _command.held.enter_context(sweep.interruptible())
+        _command.locks.enter_context(sweep.interruptible())
 
 
 def begin(
     composed: DictConfig,
     overrides: Sequence[str],
-    held: ExitStack,
+    locks: ExitStack,
     resumption: Resumption | None = None,
 ) -> Checked:
     """Checks a single run before anything is written, and gives it a folder.
 
     Args:
-        composed: the configuration with Hydra's part; it gets the name of the folder.
+        composed: the configuration with Hydra's part; the name of the folder is set in it.
         overrides: the command line.
-        held: takes the lock of the folder.
-        resumption: the run that continues, if one does.
+        locks: the stack that releases the lock of the folder.
+        resumption: the run to resume; None for a new one.
 
     Raises:
-        ConfigError: one sentence that says what is wrong and what is allowed.
-        ValueError or OSError: a corpus that cannot be used.
+        ConfigError: one sentence that names the fault and the allowed values.
+        ValueError or OSError: an unusable corpus.
     """
     if resumption is not None:
         config = resumption.config(composed)
@@ -127,8 +127,7 @@ def begin(
         config = to_config(composed, Config)
         if config.resume is not None:
             raise ConfigError(
-                "resume must be on the command line itself, as resume=<folder>, got "
-                f"{config.resume}"
+                f"resume must be given on the command line, as resume=<folder>, got {config.resume}"
             )
     refuse_other_folder(overrides, "sweep", "a sweep (--multirun)", "run")
     from bbq_torchrl.runs import checks  # torch and torchrl take ten seconds
@@ -136,7 +135,7 @@ def begin(
     checked = checks.check(config)
     with read_write(composed), open_dict(composed):
         if resumption is None:
-            composed.hydra.run.dir = str(run_folder(composed, overrides, held))
+            composed.hydra.run.dir = str(run_folder(composed, overrides, locks))
         else:
             composed.hydra.run.dir = str(resumption.folder)
             composed.hydra.output_subdir = None  # as the first process wrote it
@@ -144,17 +143,17 @@ def begin(
 
 
 def job(composed: DictConfig, run: Callable[..., RunResult]) -> float:
-    """Runs what Hydra has begun: a run that :class:`Checks` has prepared, or a job of a sweep.
+    """Runs Hydra's job: a run that :class:`Checks` has prepared, or a job of a sweep.
 
     Args:
         composed: the configuration.
         run: :func:`bbq_torchrl.runs.train.run`.
 
     Returns:
-        the final success rate, which sweepers get.
+        The final success rate, for sweepers.
     """
     folder = Path(HydraConfig.get().runtime.output_dir)
-    interruption.tell(how_to_go_on=lambda: _how_to_go_on(folder))
+    interruption.tell(how_to_continue=lambda: _how_to_continue(folder))
     checked = _command.run
     if checked is None:
         return _job_of_a_sweep(composed, folder, run)
@@ -179,30 +178,30 @@ def _job_of_a_sweep(composed: DictConfig, folder: Path, run: Callable[..., RunRe
             return read_result(folder).success_rate
         return run(config, folder).success_rate
     except interruption.Interrupted:
-        tell_no_job()
-        raise UsageError(interruption.line()) from None  # the other jobs end in good order
+        silence_jobs()
+        raise UsageError(interruption.line()) from None  # lets the other jobs finish their rounds
     except Exception as error:
-        # Hydra reports the first job that fails, at the end; the log has each.
+        # Hydra reports only the first failing job, at the end; the log has all of them.
         _LOG.error("this run failed: %s", sentence(error) or type(error).__name__)
         raise _failure(error) from error
 
 
 def command(hydra_main: Callable[[], object]) -> Callable[[], None]:
-    """Ends a command line of Hydra with one sentence and an exit code where it fails."""
+    """Decorates Hydra's main function: failures end in one sentence and an exit code."""
 
     @wraps(hydra_main)
     def main() -> None:
-        arguments, told = sys.argv[1:], os.environ.get(FULL_ERROR)
-        output.escape()  # what is logged
-        with ExitStack() as held:
-            _command.held, _command.wants_traceback = held, told == "1"
+        arguments, full_error = sys.argv[1:], os.environ.get(FULL_ERROR)
+        output.escape()  # for log messages
+        with ExitStack() as locks:
+            _command.locks, _command.wants_traceback = locks, full_error == "1"
             _command.resumption = _command.run = _command.sweep = None
             try:
                 overrides = _checked_arguments(arguments)
             except (ValueError, OSError) as error:
                 _refuse(error)
-            logging.raiseExceptions = False  # a full disk is told once, not for every message
-            os.environ[FULL_ERROR] = "1"  # Hydra is to raise its errors, not to print them
+            logging.raiseExceptions = False  # reports a full disk once, not for every message
+            os.environ[FULL_ERROR] = "1"  # makes Hydra raise its errors instead of printing them
             try:
                 hydra_main()
                 if _command.sweep is not None:
@@ -211,8 +210,8 @@ def command(hydra_main: Callable[[], object]) -> Callable[[], None]:
                 _end(end, overrides)
             finally:
                 os.environ.pop(FULL_ERROR, None)
-                if told is not None:
-                    os.environ[FULL_ERROR] = told
+                if full_error is not None:
+                    os.environ[FULL_ERROR] = full_error
                 sys.argv[1:] = arguments
                 output.settle()
 
@@ -220,23 +219,23 @@ def command(hydra_main: Callable[[], object]) -> Callable[[], None]:
 
 
 def _checked_arguments(arguments: Sequence[str]) -> list[str]:
-    """Checks the flags, loads options, and has Hydra continue a run. Returns the overrides.
+    """Checks the flags, loads options, and prepares resuming. Returns the overrides.
 
-    Of a sweep they are those that all jobs have.
+    For a sweep these are the overrides that all jobs share.
 
     Raises:
-        ConfigError: a flag, or the run to resume, cannot be used so.
+        ConfigError: an unsupported flag, or a run that cannot be resumed.
     """
     parsed = _parsed(arguments)
     refuse_second_folder(arguments)
     if parsed.config_dir is not None:
         load_folder(Path(parsed.config_dir))
-    elif (folder := options_folder()) is not None:  # given by the environment
+    elif (folder := options_folder()) is not None:  # from the environment
         arguments = ["--config-dir", str(folder), *arguments]
         sys.argv[1:] = arguments
     register_options()
     if parsed.help or parsed.hydra_help or parsed.cfg or parsed.info or parsed.shell_completion:
-        _command.held.enter_context(output.collected())
+        _command.locks.enter_context(output.collected())
         return list(parsed.overrides)
     for flag in ("config_path", "config_name", "experimental_rerun"):
         if getattr(parsed, flag) is not None:
@@ -247,7 +246,7 @@ def _checked_arguments(arguments: Sequence[str]) -> list[str]:
             raise ConfigError(f"--{flag} is for --cfg, which shows a configuration")
     if (refusal := too_large(parsed.overrides)) is not None:
         raise ConfigError(refusal)
-    if not parsed.multirun and (found := Resumption.of(parsed.overrides, _command.held)):
+    if not parsed.multirun and (found := Resumption.of(parsed.overrides, _command.locks)):
         _command.resumption = found
         flags = [item for item in arguments if item not in parsed.overrides]
         sys.argv[1:] = [*flags, *found.arguments()]
@@ -256,7 +255,7 @@ def _checked_arguments(arguments: Sequence[str]) -> list[str]:
 
 
 def _parsed(arguments: Sequence[str]) -> Namespace:
-    """Reads Hydra's flags (see its documentation), as its own parser will do after this."""
+    """Reads Hydra's documented flags as Hydra's parser will."""
 
     def refuse(message: str) -> NoReturn:
         raise ConfigError(f"{sentence(message)}; see --help")
@@ -288,7 +287,7 @@ def _overrides(config: DictConfig) -> list[str]:
 
 @contextmanager
 def _refusing() -> Iterator[None]:
-    """Ends the command where a check fails: of an exception Hydra's callbacks would only warn."""
+    """Ends the command if a check fails; Hydra only warns of exceptions in callbacks."""
     try:
         yield
     except Exception as error:
@@ -298,15 +297,15 @@ def _refusing() -> Iterator[None]:
 
 
 def _failure(error: Exception) -> Exception:
-    """Returns the error; one whose text is enough for a person is told without a traceback."""
+    """Returns the error, as :class:`UsageError` if its message suffices without a traceback."""
     from bbq_torchrl.trainers import TrainingError
 
     is_memory = isinstance(error, RuntimeError) and "allocate" in str(error)
-    tells = isinstance(error, (ConfigError, OSError, MemoryError, TrainingError)) or is_memory
-    return UsageError(sentence(error)) if tells else error
+    suffices = isinstance(error, (ConfigError, OSError, MemoryError, TrainingError)) or is_memory
+    return UsageError(sentence(error)) if suffices else error
 
 
-def _how_to_go_on(folder: Path) -> str:
+def _how_to_continue(folder: Path) -> str:
     if not (folder / CONFIG).is_file():
         return "the same command starts again"
     plain = re.fullmatch(r"[\w./~@%+:-]+", os.fspath(folder)) is not None
@@ -315,11 +314,11 @@ def _how_to_go_on(folder: Path) -> str:
 
 
 def _end(end: BaseException, overrides: Sequence[str]) -> NoReturn:
-    """Ends the command by a sentence where there is one."""
+    """Ends the command by a sentence if there is one."""
     sweep, wants_traceback = _command.sweep, _command.wants_traceback
     if code := interruption.exit_code():
         if sweep is not None:
-            interruption.tell(lambda: "in a sweep", sweep.how_to_go_on)
+            interruption.tell(lambda: "in a sweep", sweep.how_to_continue)
         output.print_error(interruption.line())
         sys.exit(code)
     if isinstance(end, _Stopped):
@@ -333,11 +332,11 @@ def _end(end: BaseException, overrides: Sequence[str]) -> NoReturn:
     elif isinstance(end, Exception) and not wants_traceback:
         if _command.run is None:
             with session():
-                said = why_refused(end, overrides)
+                message = why_refused(end, overrides)
         else:
-            causes = [told for one in (end, end.__cause__) if one and (told := sentence(one))]
-            said = f"Hydra cannot begin the run: {', '.join(causes) or type(end).__name__}"
-        output.print_error(f"error: {said}")
+            causes = [text for one in (end, end.__cause__) if one and (text := sentence(one))]
+            message = f"Hydra cannot start the run: {', '.join(causes) or type(end).__name__}"
+        output.print_error(f"error: {message}")
         sys.exit(REFUSED)
     raise end
 

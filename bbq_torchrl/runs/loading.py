@@ -1,4 +1,4 @@
-"""Runs from Python: trained as by the command line, or loaded as parts."""
+"""Runs from Python: :func:`train` and :func:`load_run`."""
 
 from __future__ import annotations
 
@@ -13,7 +13,6 @@ from bbq_torchrl.checks import check, one_of
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.registry import conf_folder, load_folder
 from bbq_torchrl.protocols import enter_round
-from bbq_torchrl.run_folder import CHECKPOINTS
 from bbq_torchrl.runs.build import make_domain
 from bbq_torchrl.runs.compose import compose_raw, register_options, session
 from bbq_torchrl.runs.job import begin
@@ -22,6 +21,7 @@ from bbq_torchrl.runs.resume import Resumption, description, run_config
 from bbq_torchrl.runs.shipped import is_shipped, run_folder
 from bbq_torchrl.runs.train import make_agent, run
 from bbq_torchrl.trainers import BestWeights, CheckpointFolder, NonFiniteWeightsError
+from bbq_torchrl.utils.files import CHECKPOINTS
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,11 +37,10 @@ class LoadedRun(NamedTuple):
     """A loaded run.
 
     Attributes:
-        env: the run's environment, in the round in which the training ended, with as many
-            replicas as the run: batch size [replicas, dialogues].
+        env: the run's environment in its last training round, batch size [replicas, dialogues].
         policy: the policy that the run reports, on the environment's TensorDict.
         config: the run's configuration.
-        mode: the name of the policy, such as ``mean`` or ``vote``.
+        mode: the policy's name, such as ``mean`` or ``vote``.
     """
 
     env: EnvBase
@@ -66,18 +65,19 @@ def load_run(
 
     Args:
         folder: the run folder, or ``shipped:<name>`` for an agent that comes with the package.
-        dialogues: how many run side by side in the environment, of each replica.
+        dialogues: dialogues played in parallel, for each replica.
         mode: the policy of a Bayesian agent: ``mean``, ``average``, ``draw`` or ``thompson``;
-            None for the run's own.
-        weights: the newest, or each replica's at its best evaluation while training.
-        seed: of the environment.
-        device: where the environment and the weights are.
-        options: the folder of options of your own that the run was trained with
-            (``--config-dir``); its Python files are run, and it stays loaded.
+            None for ``agent.evaluate``.
+        weights: ``last``, or ``best``: each replica's weights at its best evaluation during
+            training.
+        seed: the seed of the environment.
+        device: the device of environment and weights.
+        options: the folder of your own options that the run was trained with (``--config-dir``);
+            its Python files are run, and it stays loaded.
 
     Raises:
-        ValueError: no run folder, or none whose checkpoint can be read; a folder of options that
-            cannot be loaded.
+        ValueError: not a run folder, no readable checkpoint, or a folder of options that cannot be
+            loaded.
 
     Examples:
         >>> from bbq_torchrl import load_run
@@ -105,12 +105,12 @@ def trained_policy(
 ) -> tuple[TensorDictModuleBase, str]:
     """Returns the policy of a run's newest readable checkpoint, and its name.
 
-    The environment enters the round in which that was saved.
+    The environment enters the round of the checkpoint.
 
     Raises:
-        ConfigError: a mode that the agent lacks, or no checkpoint of such weights.
-        TrainingError: no checkpoint that can be read, one of another configuration, or weights
-            that are not finite.
+        ConfigError: a mode that the agent lacks, or no checkpoint with such weights.
+        TrainingError: no readable checkpoint, one of another configuration, or weights that are
+            not finite.
     """
     config.agent.check_mode(mode)
     check("weights", weights, one_of("last", "best"))
@@ -121,7 +121,7 @@ def trained_policy(
         if is_shipped(folder):
             raise ConfigError(f"weights must be last for shipped:{folder.name}, got 'best'")
         not_evaluated = ConfigError(
-            f"weights must be last for {folder}, which was not evaluated while it was trained "
+            f"weights must be last for {folder}, which was not evaluated during training "
             f"(protocol.eval_every={config.protocol.eval_every}), got 'best'"
         )
         if not config.protocol.eval_every:
@@ -153,7 +153,7 @@ class TrainedRun(NamedTuple):
 
     Attributes:
         folder: the run folder, for :func:`bbq_torchrl.load_run`.
-        result: what ``result.json`` holds, such as ``success_rate``.
+        result: the content of ``result.json``, such as ``success_rate``.
     """
 
     folder: Path
@@ -163,20 +163,20 @@ class TrainedRun(NamedTuple):
 def train(overrides: Sequence[str] = (), *, options: Path | str | None = None) -> TrainedRun:
     """Trains an agent and evaluates it, as ``bbq train`` does.
 
-    The process stays as it was: its signals, its logging, its Hydra session, torch's threads and
-    the state of torch's generator on the CPU. Ctrl-C is a KeyboardInterrupt, after which
-    ``resume=`` in the folder continues from the last checkpoint. The run folder lacks ``.hydra``
-    and ``train.log``, which Hydra writes; messages go to the logger ``bbq_torchrl``.
+    Signals, logging, the Hydra session, torch's threads and the state of its CPU generator are left
+    unchanged. Ctrl-C raises KeyboardInterrupt, after which ``resume=<folder>`` continues from the
+    last checkpoint. The run folder lacks ``.hydra`` and ``train.log``, which Hydra writes; messages
+    go to the logger ``bbq_torchrl``.
 
     Args:
         overrides: as on the command line, such as ``["agent=dqn", "protocol=quick"]``;
-            ``hydra.run.dir=<folder>`` names the run folder. One run, no sweep.
-        options: a folder of options of your own (``--config-dir``); it stays loaded.
+            ``hydra.run.dir=<folder>`` names the run folder. A sweep is refused.
+        options: a folder of your own options (``--config-dir``); it stays loaded.
 
     Raises:
-        ValueError: one sentence on what is wrong and what is allowed, before anything runs.
-        OSError: a file that cannot be read or written.
-        TrainingError: the training cannot continue, such as by a loss that is not finite.
+        ValueError: one sentence on the fault and the allowed values, before anything runs.
+        OSError: a file cannot be read or written.
+        TrainingError: the training cannot continue, for example after a loss that is not finite.
 
     Examples:
         >>> from bbq_torchrl import load_run, train
@@ -192,17 +192,17 @@ def train(overrides: Sequence[str] = (), *, options: Path | str | None = None) -
         load_folder(options, "options")
     threads = torch.get_num_threads()
     try:
-        with ExitStack() as held, torch.random.fork_rng(devices=[]):
+        with ExitStack() as locks, torch.random.fork_rng(devices=[]):
             if any(key_of(item) == "hydra.mode" and "MULTIRUN" in item for item in overrides):
                 raise ConfigError(_SWEEP)
             if (refusal := too_large(overrides)) is not None:
                 raise ConfigError(refusal)
-            resumption = Resumption.of(overrides, held)
+            resumption = Resumption.of(overrides, locks)
             with session():
                 composed = compose_raw(overrides if resumption is None else resumption.arguments())
                 if resumption is None and composed.hydra.mode is RunMode.MULTIRUN:
                     raise ConfigError(_SWEEP)
-                checked = begin(composed, overrides, held, resumption)
+                checked = begin(composed, overrides, locks, resumption)
             folder = Path(composed.hydra.run.dir).resolve()
             result = run(checked.config, folder, domain=checked.domain, spiking=checked.spiking)
             return TrainedRun(folder, result)
@@ -211,7 +211,7 @@ def train(overrides: Sequence[str] = (), *, options: Path | str | None = None) -
 
 
 def config_dir() -> str:
-    """Returns the folder of ``config.yaml`` for Hydra's Compose API, and registers the options.
+    """Registers the options, and returns the folder of ``config.yaml`` for Hydra's Compose API.
 
     Examples:
         >>> from hydra import compose, initialize_config_dir

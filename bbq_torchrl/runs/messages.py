@@ -1,4 +1,4 @@
-"""Lines that a run logs: how it starts, how far it is, how it ends."""
+"""Log messages of a run: start, progress and result."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _LOG = logging.getLogger(__name__)
 
 
 def log_start(config: Config, domain: Domain | None, spiking: str | None) -> None:
-    """Logs evaluations that never come, what is odd about the domain, and who spikes."""
+    """Logs missing evaluations, remarks on the domain, and the policy of the spike."""
     protocol = config.protocol
     if not protocol.eval_every:
         _LOG.info("no evaluation while training: protocol.eval_every is 0")
@@ -39,18 +39,18 @@ def log_start(config: Config, domain: Domain | None, spiking: str | None) -> Non
 
 
 def progress(trainer: RoundTrainer) -> str:
-    """Returns how far a training is, such as ``after 3 of 40 rounds, 3 saved``."""
+    """Returns the progress of a training, such as ``after 3 of 40 rounds, 3 saved``."""
     return f"after {trainer.rounds_done} of {trainer.rounds} rounds, {trainer.rounds_saved} saved"
 
 
 def log_result(config: Config, folder: Path, result: RunResult) -> None:
-    """Logs the final success next to that of the scripted and the privileged policies."""
+    """Logs the final success next to that of scripted and privileged policies."""
     _LOG.info("%s", _result_line(config, result))
     _LOG.info("success rate %.4f; everything is in %s", result.success_rate, folder)
 
 
 def _log_domain(domain: Domain, inactive_slots: set[str]) -> None:
-    """Logs parts of the corpus that are left out or look odd, and slots that no round has."""
+    """Logs skipped and doubtful parts of the corpus, and slots that are never active."""
     for text in domain.skipped:
         _LOG.warning("left out of the domain %s: %s", domain.name, text)
     for text in domain.doubts:
@@ -67,10 +67,7 @@ def _log_domain(domain: Domain, inactive_slots: set[str]) -> None:
 
 
 def _result_line(config: Config, result: RunResult) -> str:
-    """Returns the agent's success next to that of the scripted policies and the privileged ones.
-
-    The best script is named first: an agent that does not reach it was not worth the training.
-    """
+    """Returns the agent's success next to that of scripted (best first) and privileged policies."""
     rates = [item.success_rate for item in result.per_replica]
     spread = (
         f", {_short(min(rates))} to {_short(max(rates))} over {len(rates)} replicas"
@@ -89,5 +86,5 @@ def _result_line(config: Config, result: RunResult) -> str:
 
 
 def _short(rate: float) -> str:
-    """Returns a rate with two decimals and no leading zero, such as ``.64``; ``0`` for none."""
+    """Returns a rate with two decimals and no leading zero, such as ``.64``, or ``0`` or ``1``."""
     return f"{rate:.2f}".lstrip("0") if 0.005 <= rate < 0.995 else f"{rate:.0f}"

@@ -1,4 +1,4 @@
-"""Checks of a command line's overrides against the options' schemas, refused in one sentence."""
+"""Checks of a command line's overrides against the options' schemas."""
 
 from __future__ import annotations
 
@@ -22,7 +22,6 @@ from omegaconf.errors import (
 )
 from yaml import YAMLError
 
-from bbq_torchrl.extras import install_command
 from bbq_torchrl.options import (
     CalibrateConfig,
     Config,
@@ -39,7 +38,8 @@ from bbq_torchrl.options.registry import (
     options_folder,
 )
 from bbq_torchrl.options.values import keys_with_lists
-from bbq_torchrl.text import sentence, shown
+from bbq_torchrl.utils.extras import install_command
+from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -47,33 +47,33 @@ if TYPE_CHECKING:
     from hydra.core.override_parser.types import Override
 
 LAUNCHER = "hydra/launcher"
-"""The group of the launchers, Hydra's own."""
+"""Hydra's group of launchers."""
 
 LAUNCHER_EXTRAS = {"submitit_slurm": "slurm", "submitit_local": "slurm", "ray": "ray"}
-"""Plug-in's option that a launcher of ours extends -> the extra that installs the plug-in."""
+"""Option of a plug-in that one of our launchers extends -> the extra that installs it."""
 
 ONE_VALUE = "each key has one value in this command"
 
-_LONGEST = 100_000  # characters of an override: Hydra's parser takes seconds for more
-_DEEPEST = 20  # brackets within brackets: it takes minutes for thousands
+_LONGEST = 100_000  # characters of an override; Hydra's parser takes seconds for more
+_DEEPEST = 20  # nested brackets; it takes minutes for thousands
 
 
 def explain(error: Exception, overrides: Sequence[str], root: type, composed: Any = None) -> str:
-    """One sentence for a configuration that could not be composed.
+    """Explains in one sentence why a configuration could not be composed.
 
     Args:
-        error: what Hydra or OmegaConf raised.
-        overrides: the command line it was composed from.
+        error: the exception of Hydra or OmegaConf.
+        overrides: the command line.
         root: the schema of the whole configuration.
-        composed: what the groups of the command line alone compose to, if that can be: the other
-            overrides are put on it one by one, until one does not fit.
+        composed: the configuration of the command line's groups alone, if it can be composed; the
+            other overrides are applied one by one to find the wrong one.
     """
     refusal = not_an_option(overrides, root) or _misread(overrides, root)
     if refusal is not None:
         return refusal
     if isinstance(error, MissingConfigException):
         return _missing_option(error)
-    cause = error.__cause__ or error.__context__  # the latter where a YAML file is at fault
+    cause = error.__cause__ or error.__context__  # the context if a YAML file is at fault
     if isinstance(error, YAMLError):
         return f"a YAML file cannot be read: {sentence(error)}"
     if isinstance(cause, InterpolationResolutionError):
@@ -89,20 +89,18 @@ def explain(error: Exception, overrides: Sequence[str], root: type, composed: An
 
 
 def of_a_key(error: OmegaConfBaseException, key: str, got: str, root: type) -> str:
-    """One sentence for a key that its schema lacks, or whose value has another type.
+    """Returns a sentence on an unknown key, or on a value of the wrong type.
 
     Args:
-        error: what OmegaConf raised.
+        error: the exception of OmegaConf.
         key: the dotted key.
-        got: the value as it was written.
+        got: the value as written.
         root: the schema of the whole configuration.
     """
     schema = error.object_type
     if isinstance(error, (ConfigKeyError, ConfigAttributeError)):
-        if key.startswith("hydra.") and not is_dataclass(schema):  # a mapping, which takes any key
-            return unreadable(
-                key, f"a key of Hydra that is not there is added by a plus, +{key}=..."
-            )
+        if key.startswith("hydra.") and not is_dataclass(schema):  # an untyped mapping
+            return unreadable(key, f"a new key of Hydra is added by a plus, +{key}=...")
         return unknown_key(key, schema if is_dataclass(schema) else root)
     if (text := allowed(key, schema)) is not None:
         return f"{key} must be {text}, got {got}"
@@ -110,10 +108,10 @@ def of_a_key(error: OmegaConfBaseException, key: str, got: str, root: type) -> s
 
 
 def read_override(override: str, parser: OverridesParser | None = None) -> Override:
-    """Returns an override as Hydra reads it.
+    """Parses an override with Hydra's parser.
 
     Raises:
-        ConfigError: it is no key and value.
+        ConfigError: it is not key=value.
     """
     try:
         (parsed,) = (parser or OverridesParser.create()).parse_overrides([override])
@@ -124,7 +122,7 @@ def read_override(override: str, parser: OverridesParser | None = None) -> Overr
 
 
 def _misread(overrides: Sequence[str], root: type) -> str | None:
-    """A sentence for an override that is no key and one value."""
+    """Returns a sentence on the first override that is not one key with one value."""
     for override in overrides:
         try:
             if read_override(override).is_sweep_override():
@@ -132,7 +130,7 @@ def _misread(overrides: Sequence[str], root: type) -> str | None:
         except ConfigError as error:
             return str(error)
         except (ValueError, RecursionError, OverflowError):
-            continue  # a number of thousands of digits, which Hydra's error tells of
+            continue  # a number of thousands of digits, which Hydra's error names
     for override in overrides:
         if override.startswith("~"):
             return f"{override} cannot be read: no key can be removed, each has a value"
@@ -142,7 +140,7 @@ def _misread(overrides: Sequence[str], root: type) -> str | None:
 
 
 def without_sweeps(overrides: Sequence[str]) -> list[str]:
-    """Returns the overrides of a sweep that are the same in all its jobs."""
+    """Returns the overrides that all jobs of a sweep share."""
 
     def is_swept(override: str) -> bool:
         with suppress(ConfigError, ValueError, RecursionError, OverflowError):
@@ -153,7 +151,7 @@ def without_sweeps(overrides: Sequence[str]) -> list[str]:
 
 
 def several_values(override: str, root: type) -> str:
-    """A sentence for a sweep over a key where there is to be one run."""
+    """Returns a sentence on a key with several values outside a sweep."""
     if root is not Config:
         return f"{override} has several values: {ONE_VALUE}"
     takes_a_list = key_of(override) in keys_with_lists(schemas())
@@ -167,16 +165,16 @@ def _chooses_options(override: str) -> bool:
 
 
 def group_choices(overrides: Sequence[str]) -> list[str]:
-    """Returns the overrides that choose options, whose keys the others change."""
+    """Returns the overrides that choose options."""
     return list(filter(_chooses_options, overrides))
 
 
 def _put(composed: Any, override: str, root: type) -> str | None:
-    """Changes one key of a configuration; a sentence if that cannot be."""
+    """Applies an override to a configuration; returns a sentence if it does not fit."""
     parsed = read_override(override)
     key, is_added = parsed.key_or_group, parsed.is_add() or parsed.is_force_add()
     if parsed.is_add() and OmegaConf.select(composed, key, throw_on_missing=False) is not None:
-        return unreadable(f"+{key}", f"a key that there is already goes without a plus, {key}=...")
+        return unreadable(f"+{key}", f"an existing key is set without a plus, {key}=...")
     try:
         OmegaConf.update(composed, key, parsed.value(), merge=True, force_add=is_added)
     except OmegaConfBaseException as error:
@@ -185,11 +183,10 @@ def _put(composed: Any, override: str, root: type) -> str | None:
 
 
 def take_config_dir(arguments: Sequence[str]) -> list[str]:
-    """Returns a command line without ``--config-dir <folder>``, whose options are loaded.
+    """Loads the folder of ``--config-dir``. Returns the command line without the flag.
 
     Raises:
-        ConfigError: any other flag, this one twice, no folder behind it, or one that cannot be
-            loaded.
+        ConfigError: another flag, this one twice, or a folder that is missing or cannot be loaded.
     """
     refuse_second_folder(arguments)
     rest: list[str] = []
@@ -206,19 +203,19 @@ def take_config_dir(arguments: Sequence[str]) -> list[str]:
 
 
 def key_of(override: str) -> str:
-    """Returns the key or group of an override, without the marks in front of it."""
+    """Returns the key or group of an override without its prefix."""
     return override.lstrip("+~").partition("=")[0]
 
 
 def refuse_second_folder(arguments: Sequence[str]) -> None:
-    """Refuses a command line with two folders of options, of which Hydra would take the last."""
-    # Hydra's parser also takes -cd and a flag that is cut short.
+    """Refuses two folders of options; Hydra would take the last."""
+    # Hydra's parser also takes -cd and abbreviations.
     if sum(argument.startswith(("--config-d", "-cd")) for argument in arguments) > 1:
         raise ConfigError("--config-dir can be given once only: one folder holds all options")
 
 
 def too_large(overrides: Sequence[str]) -> str | None:
-    """A sentence for an override that is too long or too deep to be worth reading."""
+    """Returns a sentence on the first override that is too long or too deeply nested."""
     for override in overrides:
         if len(override) > _LONGEST:
             return unreadable(override, f"it has more than {_LONGEST} characters")
@@ -229,9 +226,9 @@ def too_large(overrides: Sequence[str]) -> str | None:
 
 
 def train_command() -> list[str]:
-    """Returns how a training is called, with the folder of options if there is one.
+    """Returns the command that starts a training, with the folder of options if one is loaded.
 
-    That is ``python train.py`` in a checkout, unless the command ``bbq`` runs, and ``bbq train``.
+    ``python train.py`` in a checkout, unless ``bbq`` is running; otherwise ``bbq train``.
     """
     folder = options_folder()
     flag = [] if folder is None else ["--config-dir", str(folder)]
@@ -241,7 +238,7 @@ def train_command() -> list[str]:
 
 
 def unreadable(override: str, hint: str = "write key=value") -> str:
-    """One sentence for a part of a command line that is no key and value."""
+    """Returns a sentence on an argument that cannot be read."""
     return f"{shown(override)} cannot be read: {hint}"
 
 
@@ -264,7 +261,7 @@ def _missing_option(error: MissingConfigException) -> str:
 
 
 def _typed(text: str) -> str:
-    """Returns a value as it was typed: in quotes, but for a number."""
+    """Returns a value as typed, in quotes unless it is a number."""
     with suppress(ValueError):
         float(text)
         return shown(text).strip("'")
@@ -272,18 +269,18 @@ def _typed(text: str) -> str:
 
 
 def _below_a_value(key: str) -> str | None:
-    """A sentence for ``agent.lr.x``, whose parent is a key with a value."""
+    """Returns a sentence on ``agent.lr.x``, whose parent is a key with a value."""
     parent = key.rpartition(".")[0]
     text = allowed(parent, None)
     return text and f"{sentence(key)} is not a key: {parent} has no keys, it must be {text}"
 
 
 def allowed(key: str, schema: Any) -> str | None:
-    """Returns what a dotted key must be.
+    """Returns the allowed values of a dotted key, as text; None for an unknown key.
 
     Args:
         key: such as ``agent.lr``.
-        schema: the dataclass that has it; where it is none, the key is looked up.
+        schema: the dataclass to search before all others.
     """
     group, _, name = key.rpartition(".")
     roots = () if group else (Config, EvaluateConfig, CalibrateConfig)
@@ -295,23 +292,23 @@ def allowed(key: str, schema: Any) -> str | None:
 
 
 def _of_a_file(error: HydraException, cause: BaseException | None) -> str | None:
-    """A sentence for a YAML file, such as an experiment's, that sets what there is not."""
-    # Only Hydra's message says which file it was reading.
+    """Returns a sentence on a YAML file, such as an experiment, that sets an unknown key."""
+    # Only Hydra's message names the file.
     file = re.match(r"In '([^']+)'", str(error))
     if file is None or not isinstance(cause, (ConfigKeyError, ConfigAttributeError)):
         return None
     group = str(cause.full_key).rpartition(".")[0]
     place = _place(group, cause.object_type)
-    # Where no option is known yet, the file does not say which it changes.
+    # Without a known option, the file lacks its defaults.
     lacks = "; it lacks defaults: [<option>, _self_]" if place == group else ""
     return f"{file[1]} sets {cause.full_key}, which {place} does not have{lacks}"
 
 
 def unknown_key(key: str, schema: Any) -> str:
-    """One sentence for a dotted key that the schema of its group lacks."""
+    """Returns a sentence on a dotted key that the schema of its group lacks."""
     if (below := _below_a_value(key)) is not None:
         return below
-    if schema in (Config, EvaluateConfig, CalibrateConfig):  # a group that there is not, too
+    if schema in (Config, EvaluateConfig, CalibrateConfig):  # also an unknown group
         depth = 1
     else:
         depth = 2 if issubclass(schema, Option) else key.count(".") + 1
@@ -331,14 +328,14 @@ def _place(parent: str, schema: Any) -> str:
 
 
 def groups_of(root: type) -> list[str]:
-    """Returns the groups of options that a whole configuration has."""
+    """Returns the groups of options of a root."""
     return [item.name for item in fields(root) if item.name in schemas()]
 
 
 def not_an_option(overrides: Sequence[str], root: type) -> str | None:
-    """A sentence for a group that was given something else than the name of an option.
+    """Returns a sentence on a group whose value is not the name of an option.
 
-    Hydra itself takes a mapping, ``agent={lr: 1}``, for changes to whatever option is the default.
+    Hydra by itself would read a mapping, ``agent={lr: 1}``, as changes to the default option.
     """
     groups = groups_of(root)
     for override in overrides:

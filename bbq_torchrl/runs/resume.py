@@ -1,4 +1,4 @@
-"""The configuration in a run folder: written, read (of earlier versions too), and resumed."""
+"""The configuration in a run folder: writing, reading (also earlier versions) and resuming."""
 
 from __future__ import annotations
 
@@ -14,7 +14,6 @@ from omegaconf.errors import OmegaConfBaseException
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError, walk
-from bbq_torchrl.run_folder import CONFIG, CURVE, RESULT, write_text
 from bbq_torchrl.runs.compose import (
     load_yaml,
     options_of,
@@ -25,7 +24,8 @@ from bbq_torchrl.runs.compose import (
 )
 from bbq_torchrl.runs.folders import quoted, run_lock
 from bbq_torchrl.runs.overrides import key_of, not_an_option
-from bbq_torchrl.text import sentence, shown
+from bbq_torchrl.utils.files import CONFIG, CURVE, RESULT, write_text
+from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -47,7 +47,7 @@ CHANGEABLE = (
     "device",
     "domain.path",  # a folder may be moved
 )
-"""Keys and groups that may be given together with ``resume``; the run determines the rest."""
+"""Keys and groups that may be changed with ``resume``."""
 
 _NOT_OF_THE_TRAINING = (
     *CHANGEABLE,
@@ -61,13 +61,13 @@ _NOT_OF_THE_TRAINING = (
     "agent.evaluate",
     "agent.evaluate_draws",
 )
-"""Keys, and groups, that a checkpoint does not depend on."""
+"""Keys and groups that a checkpoint does not depend on."""
 
 _ADDED = {"intrinsic": {"name": "none"}, "protocol": {"eval_every": 0}}
-"""Groups and keys that configurations of earlier versions lack, and what those versions did."""
+"""Groups and keys missing in configurations of earlier versions -> their effective values."""
 
 _REMOVED_KEYS = ("cuda_graph",)
-"""Keys of earlier versions that changed no number."""
+"""Keys of earlier versions without effect on results."""
 
 
 def description(config: Config) -> dict[str, Any]:
@@ -80,10 +80,10 @@ def description(config: Config) -> dict[str, Any]:
 
 
 def result_of(folder: Path, rounds: int) -> RunResult | None:
-    """Returns the final evaluation after so many rounds; None if no such result can be read."""
+    """Returns the result of a folder; None if it is missing, unreadable or of other rounds."""
     if not (folder / RESULT).is_file():
         return None
-    # Imported here: it takes a second, and most folders have none.
+    # Imported here, since it takes a second and most folders have no result.
     from bbq_torchrl.evaluation.results import read_result
 
     try:
@@ -94,15 +94,15 @@ def result_of(folder: Path, rounds: int) -> RunResult | None:
 
 
 def is_finished(folder: Path, rounds: int) -> bool:
-    """Returns whether a run folder has the result and the curve of so many rounds."""
+    """Returns whether a run folder has the result of so many rounds, and the curve."""
     return result_of(folder, rounds) is not None and (folder / CURVE).is_file()
 
 
 def run_config(folder: Path) -> Config:
-    """The configuration of a run folder.
+    """Returns the configuration of a run folder.
 
     Raises:
-        ConfigError: the folder is not there, or is no run folder.
+        ConfigError: the folder is missing or not a run folder.
     """
     if not folder.is_dir():
         raise ConfigError(f"{folder} is not a run folder: there is no such folder")
@@ -112,15 +112,15 @@ def run_config(folder: Path) -> Config:
 
 
 def save_config(config: Config, file: Path) -> None:
-    """Writes a configuration as YAML, atomically, so that a reader never sees half of it."""
+    """Writes a configuration as YAML, atomically."""
     write_text(file, OmegaConf.to_yaml(OmegaConf.structured(config)))
 
 
 def load_config(file: Path) -> Config:
-    """Reads a configuration that :func:`save_config` wrote; keys it lacks take their defaults.
+    """Reads a configuration that :func:`save_config` wrote; missing keys take their defaults.
 
     Raises:
-        ConfigError: no readable configuration, or one that cannot be run.
+        ConfigError: the configuration is unreadable or invalid.
     """
     plain = load_yaml(file, "a run")
     if not isinstance(plain, DictConfig):
@@ -140,7 +140,7 @@ def load_config(file: Path) -> Config:
 
 
 def _references(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
-    """Yields dotted keys and texts that OmegaConf would resolve, by the environment for one."""
+    """Yields dotted keys and texts that OmegaConf would resolve, such as ``${oc.env:HOME}``."""
     if isinstance(value, dict):
         for name, part in value.items():
             yield from _references(part, f"{key}.{name}".strip("."))
@@ -152,9 +152,9 @@ def _references(value: Any, key: str = "") -> Iterator[tuple[str, str]]:
 
 
 def _rename(plain: DictConfig) -> None:
-    """Says what our strategies of 0.1.0 did by the keys and words of today."""
+    """Translates keys and values of 0.1.0's strategies to today's."""
     if OmegaConf.select(plain, "spike.dialogues") == 0:
-        plain.spike.policy = None  # which said "rule", of no dialogues
+        plain.spike.policy = None  # was "rule" with no dialogues
     explore, rounds = plain.get("explore"), OmegaConf.select(plain, "protocol.rounds")
     if not OmegaConf.is_dict(explore):
         return
@@ -167,12 +167,12 @@ def _rename(plain: DictConfig) -> None:
 
 
 class Resumption(NamedTuple):
-    """A run that continues.
+    """A run to resume.
 
     Attributes:
         folder: the run folder.
         run: its configuration.
-        overrides: those of the command line that may change it, without ``resume``.
+        overrides: the command line's other overrides.
     """
 
     folder: Path
@@ -180,22 +180,22 @@ class Resumption(NamedTuple):
     overrides: Sequence[str]
 
     @classmethod
-    def of(cls, overrides: Sequence[str], held: ExitStack) -> Resumption | None:
-        """Returns the run that ``resume=`` names on a command line; None for a new run.
+    def of(cls, overrides: Sequence[str], locks: ExitStack) -> Resumption | None:
+        """Returns the run that ``resume=`` names on a command line; None without ``resume=``.
 
         Args:
             overrides: the command line.
-            held: takes the lock of the run folder.
+            locks: the stack that releases the lock of the run folder.
 
         Raises:
-            ConfigError: no run folder, one in use, or an option that contradicts the run.
+            ConfigError: not a run folder, one in use, or an option that contradicts the run.
         """
         given = run_of(overrides, "resume")
         if not given:
             return None
         folder = Path(expanduser(given)).resolve()
         if (folder / CONFIG).is_file():
-            held.enter_context(run_lock(folder))
+            locks.enter_context(run_lock(folder))
         run = run_config(folder)
         if (refusal := not_an_option(overrides, Config)) is not None:
             raise ConfigError(refusal)
@@ -204,7 +204,7 @@ class Resumption(NamedTuple):
             key, value = key_of(override), override.partition("=")[2]
             is_option = dataclasses.is_dataclass(getattr(run, key, None)) and key not in CHANGEABLE
             if is_option and value.strip("'\"") == _value(run, key):
-                continue  # the run's own
+                continue  # as in the run
             if is_option or key.partition("/")[0] == EXPERIMENT or key == "hydra.run.dir":
                 raise _contradiction(override, folder)
             if not override.startswith(("resume=", "++resume=")):
@@ -212,7 +212,7 @@ class Resumption(NamedTuple):
         return cls(folder, run, rest)
 
     def arguments(self) -> list[str]:
-        """Returns the command line by which Hydra composes the options of the run."""
+        """Returns the command line with the options of the run."""
         options = options_of(self.run, self.overrides)
         return [*options, *self.overrides, f"resume={quoted(self.folder)}"]
 
@@ -220,11 +220,11 @@ class Resumption(NamedTuple):
         """Returns the configuration of the run with the changes of the command line.
 
         Args:
-            composed: what Hydra made of :meth:`arguments`; it gets the values of the run.
+            composed: the configuration composed from :meth:`arguments`; the run's values are set
+                in it.
 
         Raises:
-            ConfigError: a finished run, an override that contradicts the run, or a run that cannot
-                continue with it.
+            ConfigError: the run is finished, or an override contradicts it.
         """
         if composed.hydra.mode is RunMode.MULTIRUN:
             raise ConfigError(NOT_SWEPT)
@@ -254,23 +254,23 @@ class Resumption(NamedTuple):
 
 def _contradiction(override: str, folder: Path) -> ConfigError:
     return ConfigError(
-        f"{override} contradicts the run in {folder}: beside resume only "
+        f"{override} contradicts the run in {folder}: with resume only "
         f"{', '.join(CHANGEABLE)} can be given"
     )
 
 
 def restarted_config(config: Config, folder: Path, *, way: str = ANOTHER_SWEEP) -> Config:
-    """The configuration of a job of a sweep or a trial of a search: it resumes what is there.
+    """Returns the configuration of a job or trial; it resumes the run in the folder, if any.
 
-    Launchers start a job again whose worker died (Ray) or that ran out of time (SLURM).
+    Launchers restart a job whose worker died (Ray) or that ran out of time (SLURM).
 
     Args:
-        config: of the job, as if it were new.
+        config: the job's configuration for a new run.
         folder: the job's run folder.
-        way: what to do where the folder holds another run. Defaults to that of a sweep.
+        way: advice for a folder with another run. Defaults to that for a sweep.
 
     Raises:
-        ConfigError: the folder holds a run of another configuration.
+        ConfigError: the folder has a run of another configuration.
     """
     if not (folder / CONFIG).is_file():
         return config
@@ -280,7 +280,7 @@ def restarted_config(config: Config, folder: Path, *, way: str = ANOTHER_SWEEP) 
 
 
 def _value(config: Any, key: str) -> Any:
-    """The value of a dotted key; the option's name where the key is a group."""
+    """Returns the value of a dotted key; for a group the name of its option."""
     for name in key.split("."):
         config = getattr(config, name, None)
     return getattr(config, "name", config)

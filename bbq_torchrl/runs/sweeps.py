@@ -1,4 +1,4 @@
-"""A sweep: its jobs, checked before the first one starts, its folder, and the table of its runs."""
+"""Sweeps: checking all jobs before the first starts, the folder, and the table of runs."""
 
 from __future__ import annotations
 
@@ -16,24 +16,24 @@ from typing import TYPE_CHECKING, Any, cast
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from omegaconf import OmegaConf, open_dict, read_write
 
-from bbq_torchrl import interruption, output
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.plain_yaml import read_yaml
-from bbq_torchrl.run_folder import (
+from bbq_torchrl.runs.compose import compose_raw, session, to_config
+from bbq_torchrl.runs.folders import named_folder, refuse_links, refuse_other_folder, reserve
+from bbq_torchrl.runs.overrides import LAUNCHER, key_of, read_override
+from bbq_torchrl.runs.resume import NOT_SWEPT, is_finished, restarted_config, run_config
+from bbq_torchrl.utils import interruption, output
+from bbq_torchrl.utils.files import (
     CONFIG,
     LOG,
     OVERRIDES,
     RESULT,
     folder_of,
     numbers_in_order,
+    read_yaml,
 )
-from bbq_torchrl.runs.compose import compose_raw, session, to_config
-from bbq_torchrl.runs.folders import named_folder, refuse_links, refuse_other_folder, reserve
-from bbq_torchrl.runs.overrides import LAUNCHER, key_of, read_override
-from bbq_torchrl.runs.resume import NOT_SWEPT, is_finished, restarted_config, run_config
-from bbq_torchrl.text import sentence, shown
+from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -42,20 +42,20 @@ if TYPE_CHECKING:
     from hydra.core.override_parser.types import Override
     from omegaconf import DictConfig
 
-FULL_ERROR = "HYDRA_FULL_ERROR"  # Hydra's own: whoever sets it wants tracebacks
+FULL_ERROR = "HYDRA_FULL_ERROR"  # Hydra's variable; users set it for tracebacks
 
 _OF_A_JOB = "Error executing job with overrides"
-_SWEEPER = "BasicSweeper"  # Hydra's own, the default
+_SWEEPER = "BasicSweeper"  # Hydra's default
 _SLURM = ("slurm", "submitit_slurm")
 _HEAD = ("run", "overrides", "final success", "state")
 
 SWEEP_CONFIG = "multirun.yaml"
-"""The file that Hydra writes into the folder of a sweep before its first job."""
+"""A file that Hydra writes into a sweep's folder before the first job."""
 
 
 @dataclass(frozen=True)
 class Sweep:
-    """The folder of a sweep, and the number of its jobs (0 where only its sweeper knows)."""
+    """The folder of a sweep, the number of its jobs (0 if only the sweeper knows), its launcher."""
 
     folder: Path
     jobs: int
@@ -63,8 +63,8 @@ class Sweep:
 
     @contextmanager
     def interruptible(self) -> Iterator[None]:
-        """Within it, a signal has the jobs on this machine end their rounds first."""
-        interruption.tell(lambda: "in a sweep", self.how_to_go_on)
+        """In the context, a signal lets jobs on this machine finish their rounds."""
+        interruption.tell(lambda: "in a sweep", self.how_to_continue)
         is_here = self.launcher in ("cores", "joblib", "basic")
         quiet = cast("Any", sys.stderr and _StandardError(sys.stderr))
         with (
@@ -74,10 +74,10 @@ class Sweep:
             yield
 
     def show(self) -> None:
-        """Writes the table of its runs to stderr."""
+        """Prints the table of runs to standard error."""
         output.print_error(table_of_runs(self.folder, self.jobs))
 
-    def how_to_go_on(self) -> str:
+    def how_to_continue(self) -> str:
         """Returns how many runs are finished, and the command that continues the others."""
         finished = table_of_runs(self.folder, self.jobs).splitlines()[0]
         return f"{finished}; the same command with hydra.sweep.dir={self.folder} continues"
@@ -90,8 +90,8 @@ def prepare_sweep(overrides: Sequence[str]) -> Sweep:
         overrides: the command line.
 
     Raises:
-        ConfigError: one sentence that says what is wrong and what is allowed.
-        ValueError or OSError: a corpus that cannot be used.
+        ConfigError: one sentence that names the fault and the allowed values.
+        ValueError or OSError: an unusable corpus.
     """
     from bbq_torchrl.runs import checks  # torch and torchrl take ten seconds
 
@@ -124,13 +124,13 @@ def prepare_sweep(overrides: Sequence[str]) -> Sweep:
     return Sweep(folder, len(jobs), launcher)
 
 
-def tell_no_job() -> None:
-    """Makes Hydra raise what ends a job without printing it: the sweep prints one line itself."""
+def silence_jobs() -> None:
+    """Stops Hydra from printing each job's exception: the sweep prints one line."""
     os.environ[FULL_ERROR] = "1"
 
 
 class _StandardError:
-    """Standard error, after a signal without Hydra's line on each job, none of which has failed."""
+    """Standard error that drops Hydra's error line of each job after a signal."""
 
     def __init__(self, stream: TextIO) -> None:
         self._stream = stream
@@ -139,22 +139,22 @@ class _StandardError:
         return getattr(self._stream, name)
 
     def write(self, text: str) -> int:
-        """Writes the text, unless it is that line."""
-        is_hushed = interruption.exit_code() and text.startswith(_OF_A_JOB)
-        return len(text) if is_hushed else self._stream.write(text)
+        """Writes the text, unless it is such a line."""
+        is_dropped = interruption.exit_code() and text.startswith(_OF_A_JOB)
+        return len(text) if is_dropped else self._stream.write(text)
 
 
 def _stop_workers() -> None:
-    tell_no_job()
+    silence_jobs()
     for worker in multiprocessing.active_children():
         worker.terminate()
 
 
 def _composed(hydra_session: Any, arguments: Sequence[str]) -> tuple[DictConfig, list[DictConfig]]:
-    """The configuration of a sweep, and those of its jobs, with Hydra's part.
+    """Returns the configuration of a sweep and those of its jobs, with Hydra's part.
 
-    Only Hydra's own sweeper says beforehand what its jobs are. Of another one (Optuna's, say) none
-    are returned: each job is checked when it starts.
+    Only the jobs of Hydra's default sweeper are known in advance. With another one, such as
+    Optuna's, no jobs are returned, and each is checked when it starts.
     """
     parser = OverridesParser.create(config_loader=hydra_session.config_loader)
     parsed = [read_override(item, parser) for item in arguments]
@@ -186,7 +186,7 @@ def _composed(hydra_session: Any, arguments: Sequence[str]) -> tuple[DictConfig,
 
 
 def _elements(override: Override) -> list[str]:
-    """Returns the overrides of the jobs that one override of a sweep stands for."""
+    """Expands an override of a sweep into the overrides of its jobs."""
     key = override.get_key_element()
     if not override.is_sweep_override():
         return [f"{key}={override.get_value_element_as_str()}"]
@@ -197,26 +197,26 @@ def _elements(override: Override) -> list[str]:
 
 
 def refuse_unswept(composed: DictConfig, overrides: Sequence[str]) -> None:
-    """Refuses one run of what is a sweep, such as an experiment that varies a key.
+    """Refuses to run a sweep, such as an experiment that varies a key, as a single run.
 
     Args:
         composed: the configuration of the run, with Hydra's part.
-        overrides: those of the run.
+        overrides: the overrides of the run.
 
     Raises:
-        ConfigError: a key that is swept is not among the overrides.
+        ConfigError: a swept key is not among the overrides.
     """
     given = {key_of(item) for item in overrides}
     left = [key for key in composed.hydra.sweeper.get("params") or {} if key not in given]
     if left:
         raise ConfigError(
-            f"what is chosen is a sweep over {', '.join(left)}; add --multirun, and choose one "
+            f"this is a sweep over {', '.join(left)}; add --multirun, and choose one "
             "experiment, or several at once by +experiment=[one,another]"
         )
 
 
 def _sweep_folder(composed: DictConfig, overrides: Sequence[str]) -> Path:
-    """The folder of a sweep: the one given, new or of a sweep that continues, or a free one."""
+    """Returns the folder of a sweep: ``hydra.sweep.dir``, new or to continue, or a free name."""
     folder = named_folder(composed, "sweep")
     if "hydra.sweep.dir" not in map(key_of, overrides):
         return reserve(folder)
@@ -225,8 +225,8 @@ def _sweep_folder(composed: DictConfig, overrides: Sequence[str]) -> Path:
     except FileExistsError:
         if not (folder / SWEEP_CONFIG).is_file():
             raise ConfigError(
-                "hydra.sweep.dir must be a folder that is not there yet, or that of a sweep to "
-                f"continue, got {folder}, which is there and has no {SWEEP_CONFIG}"
+                "hydra.sweep.dir must be a new folder, or that of a sweep to "
+                f"continue, got {folder}, which exists and has no {SWEEP_CONFIG}"
             ) from None
     except OSError as error:
         raise ConfigError(
@@ -236,7 +236,7 @@ def _sweep_folder(composed: DictConfig, overrides: Sequence[str]) -> Path:
 
 
 def _job_subfolder(composed: DictConfig, number: int) -> str:
-    """The folder of a job of a sweep, in that of the sweep."""
+    """Returns the folder of a job, relative to the sweep's."""
     with read_write(composed), open_dict(composed):
         composed.hydra.job.num = number
         composed.hydra.job.id = str(number)
@@ -244,13 +244,13 @@ def _job_subfolder(composed: DictConfig, number: int) -> str:
 
 
 def _check_subfolders(composed: DictConfig, subfolders: Sequence[str]) -> None:
-    """Refuses folders of jobs that are not each job's own, in that of the sweep."""
+    """Refuses folders of jobs that are shared or outside the sweep's folder."""
     plain: Any = OmegaConf.to_container(composed.hydra.sweep, resolve=False)
-    name = str(plain["subdir"])  # with what is known in a job
+    name = str(plain["subdir"])  # with unresolved references
     parts = Path(name).parts
     shared = [folder for folder, count in Counter(subfolders).items() if count > 1]
     if not parts or Path(name).is_absolute() or ".." in parts or shared:
-        several = f", which is {shared[0]} of several" if shared and shared[0] != name else ""
+        several = f", which is {shared[0]} for several" if shared and shared[0] != name else ""
         raise ConfigError(
             "hydra.sweep.subdir must name a separate folder for each job, in that of the sweep, "
             f"such as ${{hydra.job.num}}, got {shown(name)}{several}"
@@ -260,11 +260,11 @@ def _check_subfolders(composed: DictConfig, subfolders: Sequence[str]) -> None:
 def table_of_runs(sweep: Path, jobs: int) -> str:
     """Returns a line for each run of a sweep: folder, overrides, final success, state.
 
-    Overrides that all runs have are left out.
+    Overrides that all runs share are left out.
 
     Args:
         sweep: the sweep's folder.
-        jobs: how many jobs it has; 0 where only the sweeper knows.
+        jobs: the number of jobs; 0 if only the sweeper knows.
     """
     folders = sorted({folder_of(file) for file in sweep.rglob(CONFIG)}, key=numbers_in_order)
     overrides = [_overrides(folder) for folder in folders]
@@ -293,7 +293,7 @@ def table_of_runs(sweep: Path, jobs: int) -> str:
 def _success_and_state(folder: Path) -> tuple[str, str]:
     file = folder / RESULT
     log = folder / LOG
-    is_silent = log.is_file() and not log.stat().st_size  # as a signal leaves the jobs behind
+    is_silent = log.is_file() and not log.stat().st_size  # a signal came before the job started
     unfinished = "–", "not begun" if is_silent else f"not finished: {LOG} in it says why"
     if not file.is_file():
         return unfinished
@@ -312,7 +312,7 @@ def _success_and_state(folder: Path) -> tuple[str, str]:
 
 
 def _overrides(folder: Path) -> list[str]:
-    """Returns the overrides of a run as Hydra noted them; none where they cannot be read."""
+    """Returns the overrides in Hydra's file of a run; empty if it cannot be read."""
     try:
         noted = read_yaml((folder / OVERRIDES).read_text(encoding="utf-8"))
     except (OSError, ValueError):

@@ -1,10 +1,10 @@
 """``bbq train`` and ``python train.py``: one page from the configuration to the trained agent.
 
-Hydra composes the configuration, and :mod:`bbq_torchrl.runs.job` refuses what cannot be run before
-a folder exists. What follows is on this page: environment, actor, exploration, loss, replay with
-its spike, trainer, evaluation. Each part is made by the option that the command line chose
-(:mod:`bbq_torchrl.options`). Functions import torch and TorchRL themselves, for ``--help`` does
-without.
+Hydra composes the configuration, and :mod:`bbq_torchrl.runs.job` checks it before a folder exists.
+This page has the rest: environment, actor, exploration, loss, replay with its spike, trainer,
+evaluation. Each part is made by the option that the command line chose
+(:mod:`bbq_torchrl.options`). torch and TorchRL are imported in functions, so that ``--help`` is
+fast.
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import hydra
 
-from bbq_torchrl import interruption
 from bbq_torchrl.options.registry import conf_folder
-from bbq_torchrl.run_folder import CONFIG, RESULT
 from bbq_torchrl.runs.job import command, job
+from bbq_torchrl.utils import interruption
+from bbq_torchrl.utils.files import CONFIG, RESULT
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -40,7 +40,7 @@ if TYPE_CHECKING:
 @command
 @hydra.main(version_base="1.3", config_path=str(conf_folder()), config_name="config")
 def main(composed: DictConfig) -> float:
-    """Trains and evaluates. Returns the final success rate, which sweepers get."""
+    """Trains and evaluates. Returns the final success rate, for sweepers."""
     return job(composed, run)
 
 
@@ -54,31 +54,28 @@ def run(
 ) -> RunResult:
     """Trains, evaluates and writes configuration, metrics, result, curve and checkpoints.
 
-    The folder is locked meanwhile.
+    The folder is locked during the run.
 
     Args:
-        config: what to run; with ``resume``, the run in the folder continues.
+        config: the configuration; with ``resume``, the run in the folder continues.
         folder: the run folder.
-        callbacks: called after every round; what one raises ends the run.
-        domain: the configuration's, loaded; None: it is loaded here.
-        spiking: the scripted policy that spikes the buffer; None: it is found here.
+        callbacks: called after every round; their exceptions end the run.
+        domain: the loaded domain; None to load it here.
+        spiking: the scripted policy of the spike; None to find it here.
 
     Raises:
         NonFiniteLossError: a loss is NaN or infinite.
-        RunFolderGoneError: the folder was moved or removed meanwhile.
-        CheckpointDamagedError: a run to resume has no checkpoint any more that can be read.
-        CheckpointMismatchError: its checkpoint is of another seed or configuration.
+        RunFolderGoneError: the folder was moved or removed during the run.
+        CheckpointDamagedError: a run to resume has no readable checkpoint.
+        CheckpointMismatchError: its checkpoint has another seed or configuration.
         ConfigError: another process is at work in the folder.
-        Interrupted: a signal came (see :mod:`bbq_torchrl.interruption`); all rounds are saved.
+        Interrupted: a signal came; all rounds are saved.
     """
     from bbq_torchrl.evaluation.results import flat_numbers, write_json
     from bbq_torchrl.runs import build, final, folders, messages, resume
 
     with folders.run_lock(folder), build.opened_loggers(config, folder) as loggers:
-        code, rounds = (
-            build.checkout(),
-            config.protocol.rounds,
-        )  # now: it may change in the meantime
+        code = build.checkout()  # at the start, since the code may change during the run
         build.set_up_process(config)
         resume.save_config(dataclasses.replace(config, resume=None), folder / CONFIG)
         domain = build.make_domain(config) if domain is None else domain
@@ -88,8 +85,8 @@ def run(
         trainer, agent = build_trainer(
             config, folder, callbacks, domain=domain, spiking=spiking, loggers=loggers
         )
-        # There is a result where the run was killed before its last file, the curve.
-        result = None if config.resume is None else resume.result_of(folder, rounds)
+        # A run killed before its last file, the curve, has a result already.
+        result = None if config.resume is None else resume.result_of(folder, config.protocol.rounds)
         if result is None:
             messages.log_start(config, domain, spiking)
             interruption.tell(lambda: messages.progress(trainer))
@@ -116,11 +113,10 @@ def build_trainer(
     spiking: str | None = None,
     loggers: Sequence[Logger] = (),
 ) -> tuple[RoundTrainer, Agent]:
-    """Makes the trainer of a run, and its agent; callbacks are called after every round.
+    """Makes the trainer of a run and its agent; callbacks are called after every round.
 
-    The domain is loaded, and the policy that spikes is found, unless they are given. Loggers are
-    those of :func:`~bbq_torchrl.runs.build.opened_loggers`; without them the metrics are logged
-    nowhere but in the run folder.
+    Domain and spike policy are loaded unless given. Without loggers (of
+    :func:`~bbq_torchrl.runs.build.opened_loggers`) metrics go to the run folder only.
     """
     from torchrl.objectives import HardUpdate
 
@@ -178,13 +174,12 @@ class Agent(NamedTuple):
     """The learning and acting parts of a run.
 
     Attributes:
-        actor: the Q-network and its choice of an action.
+        actor: the Q-network with greedy actions.
         loss: the loss, or several in a ``ModuleDict``.
-        optimizer: moves the loss's parameters.
-        policy: acts with exploration.
-        metrics: what of the exploration is worth a column of the metrics; one number, or
-            [replicas].
-        transform: what the replay buffer does to transitions, if anything.
+        optimizer: the optimizer of the loss's parameters.
+        policy: the exploring policy.
+        metrics: metrics of the exploration: a number, or shape [replicas].
+        transform: the replay buffer's transform, if any.
     """
 
     actor: QValueActor
@@ -196,7 +191,7 @@ class Agent(NamedTuple):
 
 
 def make_agent(config: Config, env: EnvBase) -> Agent:
-    """Makes actor, loss and exploration; the weights start from the run's seed."""
+    """Makes actor, loss and exploration; the run's seed determines the initial weights."""
     import torch
     from torchrl.envs import Compose
 

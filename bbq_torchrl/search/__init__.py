@@ -1,5 +1,5 @@
-"""A search for hyper-parameters by Optuna: every trial is an ordinary run of ``train.py``.
+"""Hyper-parameter search by Optuna: every trial is an ordinary run of ``train.py``.
 
-``python -m bbq_torchrl.search`` is the command; :func:`bbq_torchrl.search.study.run_search` does
-the work. Nothing here is imported before it is needed: ``--help`` works without Optuna.
+The command is ``bbq search``; :func:`bbq_torchrl.search.study.run_search` does the work.
+``--help`` works without Optuna.
 """

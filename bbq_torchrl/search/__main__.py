@@ -1,9 +1,9 @@
-"""``python -m bbq_torchrl.search``: searches, and prints the best trial as one line of JSON."""
+"""``bbq search``: searches hyper-parameters, and prints the best trial as one line of JSON."""
 
 from __future__ import annotations
 
 if __name__ == "__main__":  # before anything that takes time to import
-    from bbq_torchrl import interruption
+    from bbq_torchrl.utils import interruption
 
     interruption.listen()
 
@@ -12,14 +12,14 @@ import logging
 import sys
 from typing import TYPE_CHECKING
 
-from bbq_torchrl import interruption, output
-from bbq_torchrl.extras import needed
 from bbq_torchrl.options.registry import options
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.pages import page
 from bbq_torchrl.runs.overrides import take_config_dir
 from bbq_torchrl.search.definition import SEARCH, compose_search
-from bbq_torchrl.text import sentence
+from bbq_torchrl.utils import interruption, output
+from bbq_torchrl.utils.extras import needed
+from bbq_torchrl.utils.output import page
+from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -27,8 +27,8 @@ if TYPE_CHECKING:
 USAGE = """\
 usage: python -m bbq_torchrl.search search=<name> [search.<key>=<value> ...] [<key>=<value> ...]
 
-Searches for hyper-parameters by Optuna. Every trial is a run of bbq train with the keys given;
-the same command continues a search. Prints the best trial as one line of JSON.
+Searches hyper-parameters by Optuna. Every trial is a run of bbq train with the given keys; the same
+command continues a search. Prints the best trial as one line of JSON.
 
   search=      {names}, or a YAML file
   search.trials=, search.objective=, search.folder=, ...
@@ -43,7 +43,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line.
 
     Returns:
-        the exit code: 1 if no trial was completed or a file could not be written, 2 if refused.
+        The exit code: 1 if no trial was completed or a file could not be written, 2 if refused.
     """
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     interruption.tell(lambda: "in a search", lambda: "the same command continues the search")
@@ -53,7 +53,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     try:
         search = compose_search(take_config_dir(arguments))
-        # Imported here: torch, torchrl and Optuna take seconds, what is refused above takes none.
+        # Imported after the first checks, since torch, torchrl and Optuna take seconds.
         optuna = needed("optuna", "optuna", "search")
         from bbq_torchrl.runs.checks import check
         from bbq_torchrl.runs.train import run

@@ -1,11 +1,11 @@
-"""The configuration of a search: what varies, between which bounds, and what counts as good.
+"""The configuration of a search: space, fixed keys and objective.
 
-``conf/search/<name>.yaml`` holds the space and what is fixed; the command line may change both::
+``conf/search/<name>.yaml`` has the space and the fixed keys; the command line can change both::
 
     search=bbqn search.trials=30 search.space.agent.lr.high=0.003 replicas=3 protocol=quick
 
-What begins with ``search`` is the search's, everything else is an override of ``train.py`` that
-all trials have.
+Keys that begin with ``search`` belong to the search; all others are overrides of ``train.py`` that
+all trials share.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from bbq_torchrl.options.settings import (
 from bbq_torchrl.runs.compose import compose, load_yaml
 from bbq_torchrl.runs.overrides import too_large, unreadable
 from bbq_torchrl.search.space import Parameter, as_entry, parse_parameter
-from bbq_torchrl.text import conceal_environment, sentence, shown
+from bbq_torchrl.utils.text import conceal_environment, sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -57,23 +57,23 @@ class SearchConfig:
     folder: str | None = setting(
         None,
         optional(ANY_TEXT, "runs/search_ and its name"),
-        "where the search is kept",
+        "folder of the search",
     )
-    trials: int = setting(50, COUNT, "trials in all, of all processes together")
+    trials: int = setting(50, COUNT, "number of trials of all processes together")
     objective: str = setting(
         "training",
         one_of("training", "final"),
         "success of all training dialogues (area under the curve), or of the final evaluation",
     )
-    statistic: str = setting("mean", one_of("mean", "iqm"), "how a trial's replicas are summed up")
-    sampler: str = setting("tpe", one_of("tpe", "random"), "how values are chosen")
+    statistic: str = setting("mean", one_of("mean", "iqm"), "statistic over a trial's replicas")
+    sampler: str = setting("tpe", one_of("tpe", "random"), "sampler of the values")
     pruner: str = setting(
-        "median", one_of("median", "none"), "median: stop a trial that is below the others' median"
+        "median", one_of("median", "none"), "median: stop a trial below the median of the others"
     )
-    startup_trials: int = setting(
-        10, COUNT, "trials at random before the sampler and the pruner go by results"
+    startup_trials: int = setting(10, COUNT, "random trials before sampler and pruner use results")
+    prune_after: float = setting(
+        0.25, BELOW_ONE, "share of its rounds before a trial can be stopped"
     )
-    prune_after: float = setting(0.25, BELOW_ONE, "share of its rounds that every trial is given")
     seed: int = setting(0, SEED, "seed of the sampler")
     storage: str | None = setting(
         None, optional(ANY_TEXT, "SQLite in the folder"), "URL of another database of Optuna's"
@@ -82,13 +82,13 @@ class SearchConfig:
 
 @dataclass(frozen=True)
 class Search:
-    """A search that has been checked.
+    """A checked search.
 
     Attributes:
-        name: of its YAML file.
-        settings: how it searches.
-        space: key to what it may be.
-        fixed: the overrides of ``train.py`` that all trials have.
+        name: the name of its YAML file.
+        settings: the keys ``search.<key>``.
+        space: key -> its possible values.
+        fixed: the overrides of ``train.py`` that all trials share.
     """
 
     name: str
@@ -103,15 +103,15 @@ class Search:
         return Path(expanduser(chosen)).resolve()
 
     def overrides(self, values: Mapping[str, Any]) -> list[str]:
-        """The command line of ``train.py`` for a trial's values."""
+        """Returns the command line of ``train.py`` for a trial's values."""
         return [*self.fixed, *(_override(name, value) for name, value in values.items())]
 
     @cached_property
     def corners(self) -> list[Config]:
-        """Trials between which all others lie, one key at a bound or at another choice each time.
+        """Configurations at the edges of the space: each changes one key to a bound or choice.
 
         Raises:
-            ConfigError: values that cannot be run.
+            ConfigError: invalid values.
         """
         lowest = {name: item.probes[0] for name, item in self.space.items()}
         others = [
@@ -122,15 +122,15 @@ class Search:
         return [self.config(values) for values in (lowest, *others)]
 
     def config(self, values: Mapping[str, Any]) -> Config:
-        """The configuration of a trial.
+        """Returns the configuration of a trial.
 
         Raises:
-            ConfigError: the values cannot be run.
+            ConfigError: invalid values.
         """
         return compose(self.overrides(values))
 
     def definition(self) -> dict[str, Any]:
-        """All that the outcomes of trials depend on, as plain values by dotted key."""
+        """Returns everything that outcomes depend on, as plain values by dotted key."""
         settings = asdict(self.settings)
         for free in ("folder", "trials", "storage"):
             del settings[free]
@@ -142,14 +142,14 @@ class Search:
 
 
 def compose_search(arguments: Sequence[str]) -> Search:
-    """The checked search that a command line stands for.
+    """Returns the checked search of a command line.
 
     Args:
-        arguments: ``search=<name>``, keys of the search, and overrides of ``train.py``. A key that
-            is given a value there does not vary.
+        arguments: ``search=<name>``, keys of the search, and overrides of ``train.py``, whose keys
+            do not vary.
 
     Raises:
-        ConfigError: one sentence that names the key that is wrong and what it may be.
+        ConfigError: one sentence that names the wrong key and its allowed values.
 
     Examples:
         >>> search = compose_search(["search=bbqn", "search.trials=9", "agent.prior_std=.1"])
@@ -183,16 +183,16 @@ def compose_search(arguments: Sequence[str]) -> Search:
     name = Path(chosen[0]).stem
     checked = filled(SearchConfig, settings, f"{SEARCH}.")
     search = Search(name, checked, space, tuple(fixed.values()))
-    _ = search.corners  # composed now: no trial fails for its values
+    _ = search.corners  # composed now, to refuse invalid values
     return search
 
 
 def _refuse_several(key: str, override: str) -> None:
-    """Refuses ``key=1,2``: what varies in a search is written as a choice."""
+    """Refuses ``key=1,2``, which a search writes as choices."""
     try:
         several = OverridesParser.create().parse_override(override).is_sweep_override()
     except HydraException:
-        return  # refused with the others, when they are composed
+        return  # refused when composed
     if several:
         raise ConfigError(
             f"{sentence(override)} has several values: in a search write "
@@ -201,7 +201,7 @@ def _refuse_several(key: str, override: str) -> None:
 
 
 def _read(chosen: str) -> tuple[dict[str, Any], dict[str, Any], dict[str, str]]:
-    """Settings, space and what is fixed by the file of a search: ours by name, or a path."""
+    """Returns settings, space and fixed overrides from the YAML file of a search."""
     own = chosen.endswith((".yaml", ".yml"))
     if not own and chosen not in options(SEARCH):
         raise ConfigError(
@@ -212,7 +212,7 @@ def _read(chosen: str) -> tuple[dict[str, Any], dict[str, Any], dict[str, str]]:
     file = Path(expanduser(chosen)) if own else next(place for place in places if place.is_file())
     plain = OmegaConf.to_container(load_yaml(file, "a search"), resolve=False)
     if not isinstance(plain, dict) or not isinstance(plain.get("space"), dict):
-        raise ConfigError(f"{file} must have the key space, a mapping of keys to what they may be")
+        raise ConfigError(f"{file} must have the key space, a mapping of keys to their values")
     fixed = plain.pop("fixed", None) or []
     if not isinstance(fixed, list) or not all("=" in str(item) for item in fixed):
         raise ConfigError(f"{file}: fixed must be a list of key=value, got {shown(fixed)}")
@@ -223,7 +223,7 @@ def _read(chosen: str) -> tuple[dict[str, Any], dict[str, Any], dict[str, str]]:
 
 def _value(argument: str, text: str) -> Any:
     if not text:
-        return text  # which YAML would take for null
+        return text  # YAML would read null
     conceal_environment(text)
     try:
         parsed = OmegaConf.from_dotlist([f"value={text}"])
@@ -233,23 +233,23 @@ def _value(argument: str, text: str) -> Any:
 
 
 def _change_space(space: dict[str, Any], key: str, value: Any) -> None:
-    """Takes in ``<key>={type: ...}``, ``<key>=null`` (does not vary) or ``<key>.<field>=...``."""
+    """Applies ``<key>={type: ...}``, ``<key>=null`` (does not vary) or ``<key>.<field>=...``."""
     if value is None:
         if space.pop(key, key) is key:
-            raise ConfigError(f"{_SPACE}{key} does not vary; {_what_varies(space)}")
+            raise ConfigError(f"{_SPACE}{key} does not vary; {_varying_keys(space)}")
     elif isinstance(value, dict):
         space[key] = value
     else:
         name, _, entry = key.rpartition(".")
         if not isinstance(space.get(name), dict):
             raise ConfigError(
-                f"{_SPACE}{key} is not a key: {name} does not vary; {_what_varies(space)}"
+                f"{_SPACE}{key} is not a key: {name} does not vary; {_varying_keys(space)}"
             )
         space[name] = {**space[name], entry: value}
 
 
-def _what_varies(space: Mapping[str, Any]) -> str:
-    return f"what varies is {', '.join(space)}"
+def _varying_keys(space: Mapping[str, Any]) -> str:
+    return f"the keys that vary are {', '.join(space)}"
 
 
 def _override(name: str, value: Any) -> str:

@@ -1,4 +1,4 @@
-"""The values that a search tries for one key: a range of numbers, or a list of choices."""
+"""The space of a key: a range of numbers or a list of choices."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from bbq_torchrl.options.settings import (
     optional,
     setting,
 )
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils.text import shown
 
 NUMBER = Allowed(
     "a number",
@@ -39,15 +39,15 @@ CHOICES = Allowed(
 class Range:
     """Numbers from ``low`` to ``high``."""
 
-    type: str = setting("float", one_of("float"), "what kind of values")
+    type: str = setting("float", one_of("float"), "type of the values")
     low: float = setting(REQUIRED, NUMBER, "least value")
     high: float = setting(REQUIRED, NUMBER, "greatest value")
     log: bool = setting(False, BOOLEAN, "whether values are drawn evenly on a logarithmic scale")
-    step: float | None = setting(None, optional(NUMBER, "any value"), "distance of the values")
+    step: float | None = setting(None, optional(NUMBER, "any value"), "distance between values")
 
     @property
     def probes(self) -> list[Any]:
-        """The values between which all others lie."""
+        """The bounds."""
         return [self.low, self.high]
 
 
@@ -55,22 +55,22 @@ class Range:
 class IntegerRange(Range):
     """Integers from ``low`` to ``high``."""
 
-    type: str = setting("int", one_of("int"), "what kind of values")
+    type: str = setting("int", one_of("int"), "type of the values")
     low: int = setting(REQUIRED, INTEGER, "least value")
     high: int = setting(REQUIRED, INTEGER, "greatest value")
-    step: int | None = setting(None, optional(INTEGER, "any value"), "distance of the values")
+    step: int | None = setting(None, optional(INTEGER, "any value"), "distance between values")
 
 
 @dataclass
 class Choices:
-    """Some values."""
+    """A list of values."""
 
-    type: str = setting("categorical", one_of("categorical"), "what kind of values")
+    type: str = setting("categorical", one_of("categorical"), "type of the values")
     choices: list[Any] = setting(REQUIRED, CHOICES, "the values")
 
     @property
     def probes(self) -> list[Any]:
-        """All of them."""
+        """All values."""
         return self.choices
 
 
@@ -82,11 +82,11 @@ def parse_parameter(key: str, plain: Any) -> Parameter:
     """Reads an entry such as ``{type: float, low: 0.01, high: 1.0, log: true}``.
 
     Args:
-        key: ``search.space.<key of train.py>``, by which errors name it.
+        key: ``search.space.<key of train.py>``, for messages.
         plain: the entry.
 
     Raises:
-        ConfigError: an entry that is no such mapping; names the key.
+        ConfigError: an invalid entry.
 
     Examples:
         >>> entry = {"type": "float", "low": 1e-4, "high": 0.01, "log": True}
@@ -114,5 +114,5 @@ def parse_parameter(key: str, plain: Any) -> Parameter:
 
 
 def as_entry(parameter: Parameter) -> dict[str, Any]:
-    """Returns the entry of a YAML file that stands for a parameter."""
+    """Returns a parameter as an entry of a YAML file."""
     return {key: value for key, value in asdict(parameter).items() if value is not None}

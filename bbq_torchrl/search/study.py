@@ -1,8 +1,8 @@
-"""The search: trials one after the other, shared by several processes, safe against kills.
+"""The search: trials in sequence, shared by several processes, safe against kills.
 
-Optuna keeps the trials in a database. Who works at a trial holds a lock on a file, which the
-operating system lets go when the process ends, however it ends: a trial that Optuna calls running
-and whose lock is free was killed; the process that finds it first continues it.
+Optuna stores the trials in a database. A process locks a file for its trial, and the operating
+system releases the lock when the process ends. So a running trial without a lock was killed, and
+the first process that finds it continues it.
 """
 
 from __future__ import annotations
@@ -20,10 +20,7 @@ from filelock import FileLock, Timeout
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.pool import NullPool
 
-from bbq_torchrl.extras import sqlite_url
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.plain_yaml import read_yaml
-from bbq_torchrl.run_folder import CONFIG, write_text
 from bbq_torchrl.runs.folders import refuse_links
 from bbq_torchrl.search.space import Choices, as_entry
 from bbq_torchrl.search.trials import (
@@ -33,8 +30,10 @@ from bbq_torchrl.search.trials import (
     trial_name,
     write_tables,
 )
-from bbq_torchrl.text import sentence, shown
 from bbq_torchrl.trainers import TrainingError, derive_seed
+from bbq_torchrl.utils.extras import sqlite_url
+from bbq_torchrl.utils.files import CONFIG, read_yaml, write_text
+from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
@@ -57,24 +56,22 @@ def run_search(
     runner: Callable[..., RunResult],
     check: Callable[[Config], Domain | None] = lambda config: None,
 ) -> dict[str, Any] | None:
-    """Runs trials until there are as many as wanted. Returns the best; None without a complete one.
+    """Runs trials up to ``search.trials``. Returns the best; None if no trial is complete.
 
-    An interrupted search continues: finished trials stay, a killed trial is taken up from
-    its last checkpoint, and the values of new ones are those that they would have been.
+    An interrupted search continues: finished trials stay, a killed trial resumes from its last
+    checkpoint, and new trials get the same values as without the interruption.
 
     Args:
-        search: what to search.
-        runner: trains one trial: ``bbq_torchrl.runs.train.run``, called with configuration, folder,
-            callbacks after every round, and ``domain=``. The search continues after a
-            TrainingError of it; any other error ends the search, and the trial is taken up when it
-            is started again.
-        check: what else is checked of a trial's configuration; returns the domain, which it has
-            loaded. Of values that cannot be run together it raises ``ConfigError``: their trial
-            fails, and the search continues.
+        search: the search.
+        runner: trains a trial, as ``bbq_torchrl.runs.train.run`` does; called with configuration,
+            folder, callbacks and ``domain=``. A TrainingError fails the trial; any other error ends
+            the search, and the next start continues the trial.
+        check: further checks of a trial's configuration; returns the loaded domain. A
+            ``ConfigError``, for values that do not go together, fails the trial.
 
     Raises:
-        ConfigError: the folder holds another search, its trials are not those of the storage, or
-            one of the two cannot be used.
+        ConfigError: the folder has another search, its trials and the storage do not belong
+            together, or one of the two is unusable.
     """
     with _opened(search) as study:
         if (most := _most_trials(search)) < search.settings.trials:
@@ -104,7 +101,7 @@ def _run_trials(
                 outcome = Outcome(optuna.trial.TrialState.FAIL, reason=sentence(error))
             else:
                 outcome = play_trial(trial, config, run_folder, search.settings, runner, domain)
-            # Nobody else then takes a trial that is told for one that was interrupted.
+            # Locked, so that nobody takes the trial for an interrupted one.
             with FileLock(folder / ".search.lock"):
                 _tell(study, trial, outcome)
         with FileLock(folder / ".tables.lock"):
@@ -113,7 +110,7 @@ def _run_trials(
 
 @contextmanager
 def _opened(search: Search) -> Iterator[optuna.Study]:
-    """Opens the study of a search, new or continued, and closes its database in the end."""
+    """Opens the study of a search, new or to continue, and closes its database at the end."""
     folder = search.folder
     with ExitStack() as opened:
         try:
@@ -134,7 +131,7 @@ def _opened(search: Search) -> Iterator[optuna.Study]:
 
 
 def _check_definition(search: Search, file: Path) -> None:
-    """Compares what is searched with what a folder has begun with, if it has."""
+    """Refuses a folder that was started with another definition."""
     if not file.exists():
         return
     try:
@@ -151,38 +148,38 @@ def _refuse_another(search: Search, begun: Mapping[str, Any], place: str, choice
     for key in {**begun, **definition}:
         if begun.get(key) != definition.get(key):
             raise ConfigError(
-                f"{place} holds a search with {key}={begun.get(key)}, got "
+                f"{place} has a search with {key}={begun.get(key)}, got "
                 f"{definition.get(key)}: choose another {choice}"
             )
 
 
 def _tie(study: optuna.Study, folder: Path, database: str) -> None:
-    """Ties a database to the folder that has the runs of its trials, by a mark that both have.
+    """Ties a database to the folder of its trials by a mark in both.
 
     Raises:
-        ConfigError: the folder's trials are not in the database, or the database's not in the
-            folder: values would be reported that were never trained there.
+        ConfigError: folder and database have different trials, so that values would be reported
+            that were never trained there.
     """
     file = folder / _TIE
     of_folder = file.read_text(encoding="utf-8", errors="replace") if file.is_file() else None
     of_study = study.user_attrs.get(_TIED)
     runs = any(folder.glob(f"trial_*/{CONFIG}"))
     if of_study is None and bool(study.get_trials(deepcopy=False)) == runs:
-        # Both are new, or of a version that had no marks.
+        # Both are new, or of a version without marks.
         of_study = of_folder = of_folder or uuid4().hex
         write_text(file, of_folder)
         study.set_user_attr(_TIED, of_study)
     if of_folder != of_study:
-        told = (
-            f"{folder} holds trials that {database} does not know"
+        fault = (
+            f"{folder} has trials that {database} lacks"
             if of_study is None
-            else f"{database} holds the search of another folder than {folder}"
+            else f"{database} has the search of another folder than {folder}"
         )
-        raise ConfigError(f"{told}: choose another search.folder")
+        raise ConfigError(f"{fault}: choose another search.folder")
 
 
 def _database(search: Search) -> str:
-    """Returns what the database of a search is called where it is refused."""
+    """Returns the name of a search's database for messages."""
     url = search.settings.storage
     return f"search.storage={url}" if url else str(search.folder / _DATABASE)
 
@@ -199,8 +196,8 @@ def _study(search: Search, opened: ExitStack) -> optuna.Study:
     url = settings.storage or sqlite_url(search.folder / _DATABASE)
     options: dict[str, Any] = {}
     if url.startswith("sqlite"):
-        # Several processes write to the file: each waits up to a minute for the others. A pool
-        # would leave connections open where Optuna refuses the database.
+        # Processes that share the file wait up to a minute for one another. A pool would leave
+        # connections open if Optuna refuses the database.
         options = {"connect_args": {"timeout": 60}, "poolclass": NullPool}
     try:
         storage = optuna.storages.RDBStorage(url, engine_kwargs=options)
@@ -213,10 +210,10 @@ def _study(search: Search, opened: ExitStack) -> optuna.Study:
             load_if_exists=True,
             pruner=pruner,
         )
-    # A URL that is none, a database that is not there or is none, a driver that is not installed.
+    # An invalid URL, a missing or invalid database, or a missing driver.
     except (SQLAlchemyError, optuna.exceptions.OptunaError, ImportError, RuntimeError) as error:
         raise ConfigError(f"{_database(search)} cannot be used: {sentence(error)}") from error
-    # A database may be that of a search in another folder.
+    # The database may belong to a search in another folder.
     definition = search.definition()
     begun = study.user_attrs.get(_DEFINED, definition)
     _refuse_another(search, begun, "search.storage", "search.storage")
@@ -226,7 +223,7 @@ def _study(search: Search, opened: ExitStack) -> optuna.Study:
 
 @contextmanager
 def _claimed(search: Search, study: optuna.Study, folder: Path) -> Iterator[optuna.Trial | None]:
-    """Yields a trial that nobody else works at, killed ones first; None if all are done."""
+    """Yields a trial, locked, killed ones first; None if all are done."""
     trial, own = None, None
     with FileLock(folder / ".search.lock"):
         trials = study.get_trials(deepcopy=False)
@@ -237,7 +234,7 @@ def _claimed(search: Search, study: optuna.Study, folder: Path) -> Iterator[optu
                     lock.acquire(timeout=0)
                 except Timeout:
                     continue
-                # The way that Optuna itself makes the object of a trial in its database.
+                # As Optuna makes the object of a stored trial.
                 trial, own = optuna.Trial(study, known._trial_id), lock
                 _LOG.info("trial %d was interrupted and continues", known.number)
                 break
@@ -259,7 +256,7 @@ def _trial_lock(folder: Path, number: int) -> FileLock:
 
 
 def _values(search: Search, study: optuna.Study, trial: optuna.Trial) -> dict[str, Any]:
-    """The trial's values: drawn from seeds of its own, so that an interruption changes none."""
+    """Returns the trial's values, from separate seeds, so that interruptions change nothing."""
     values = {}
     for name, parameter in search.space.items():
         seed = derive_seed(search.settings.seed, "search", trial.number, name)
@@ -275,7 +272,7 @@ def _has_choices_only(search: Search) -> bool:
 
 
 def _most_trials(search: Search) -> int:
-    """Returns the number of trials; in a space of choices alone no setting is tried twice."""
+    """Returns the number of trials; a space of choices only is tried once each."""
     if not _has_choices_only(search):
         return search.settings.trials
     return min(search.settings.trials, prod(len(item.probes) for item in search.space.values()))
@@ -285,11 +282,11 @@ def _sampler(search: Search, seed: int) -> optuna.samplers.BaseSampler:
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
         if _has_choices_only(search):
-            # TPE and random sampling come back to the same few settings, and a trial has one seed.
+            # TPE and random sampling would repeat the same few settings.
             return optuna.samplers.BruteForceSampler(seed=seed)
         if search.settings.sampler == "random":
             return optuna.samplers.RandomSampler(seed=seed)
-        # constant_liar: several processes do not try the same values at the same time.
+        # constant_liar keeps processes from trying the same values at the same time.
         return optuna.samplers.TPESampler(
             n_startup_trials=search.settings.startup_trials, constant_liar=True, seed=seed
         )
@@ -298,10 +295,10 @@ def _sampler(search: Search, seed: int) -> optuna.samplers.BaseSampler:
 def _tell(study: optuna.Study, trial: optuna.Trial, outcome: Outcome) -> None:
     if outcome.reason is not None:
         trial.set_user_attr("reason", outcome.reason)
-    # Brute force stops a study of Optuna's own loop, which there is none of here.
+    # The brute-force sampler would stop Optuna's loop, which is not running here.
     study.sampler = optuna.samplers.RandomSampler()
     study.tell(trial, outcome.value, state=outcome.state)
-    said = outcome.reason if outcome.value is None else f"{outcome.value:.4f}"
+    text = outcome.reason if outcome.value is None else f"{outcome.value:.4f}"
     _LOG.info(
-        "trial %d is %s%s", trial.number, outcome.state.name.lower(), f": {said}" if said else ""
+        "trial %d is %s%s", trial.number, outcome.state.name.lower(), f": {text}" if text else ""
     )

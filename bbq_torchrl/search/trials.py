@@ -1,4 +1,4 @@
-"""One trial: a run with a trial's values, what it is worth, and the table that all are in."""
+"""Trials: running one, its objective, and the table of all."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ from typing import TYPE_CHECKING, Any
 import optuna
 
 from bbq_torchrl.evaluation.results import read_result, write_json
-from bbq_torchrl.run_folder import write_text
 from bbq_torchrl.runs.overrides import train_command
 from bbq_torchrl.runs.resume import is_finished, restarted_config
-from bbq_torchrl.statistics import interquartile_mean
-from bbq_torchrl.text import sentence
 from bbq_torchrl.trainers import TrainingError
+from bbq_torchrl.utils.files import write_text
+from bbq_torchrl.utils.statistics import interquartile_mean
+from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -42,7 +42,7 @@ class Outcome:
     Attributes:
         state: complete, pruned or failed.
         value: the objective; ``None`` unless complete.
-        reason: why it failed.
+        reason: the reason of a failure.
     """
 
     state: optuna.trial.TrialState
@@ -58,18 +58,18 @@ def play_trial(
     runner: Callable[..., RunResult],
     domain: Domain | None,
 ) -> Outcome:
-    """Runs a trial from where it is: new, from its last checkpoint, or finished already.
+    """Runs a trial: new, from its last checkpoint, or finished already.
 
     Args:
-        trial: takes the reports of rounds, and says when it is hopeless.
+        trial: receives the reports of rounds, and decides on pruning.
         config: the configuration with the trial's values.
         folder: the trial's run folder.
-        settings: of the search.
-        runner: trains it.
-        domain: the configuration's, loaded.
+        settings: the search's settings.
+        runner: trains the trial.
+        domain: the loaded domain.
 
     Raises:
-        ConfigError: the folder holds a run of another configuration, such as other values.
+        ConfigError: the folder has a run of another configuration.
     """
     states = optuna.trial.TrialState
     folder.mkdir(parents=True, exist_ok=True)
@@ -83,31 +83,31 @@ def play_trial(
         return Outcome(states.PRUNED)
     except TrainingError as error:
         return Outcome(states.FAIL, reason=sentence(error))
-    return Outcome(states.COMPLETE, _worth(result, settings))
+    return Outcome(states.COMPLETE, _objective(result, settings))
 
 
-def _worth(result: RunResult, settings: SearchConfig) -> float:
-    """The objective: the replicas' mean or interquartile mean of the success that counts."""
+def _objective(result: RunResult, settings: SearchConfig) -> float:
+    """Returns the objective: the replicas' mean or interquartile mean of success."""
     final = settings.objective == "final"
-    return _sum_up(
+    return _statistic(
         [item.success_rate if final else item.training_success for item in result.per_replica],
         settings,
     )
 
 
-def _sum_up(values: Sequence[float], settings: SearchConfig) -> float:
+def _statistic(values: Sequence[float], settings: SearchConfig) -> float:
     if settings.statistic == "iqm":
         return float(interquartile_mean(values))
     return math.fsum(values) / len(values)
 
 
 class _Reports:
-    """Reports the success of all dialogues so far after every round; ends a hopeless trial."""
+    """Reports the success of all dialogues so far after every round; prunes the trial."""
 
     def __init__(self, trial: optuna.Trial, settings: SearchConfig) -> None:
         self._trial = trial
         self._settings = settings
-        # A trial that continues from a checkpoint plays rounds again that it has reported already.
+        # A resumed trial repeats rounds that it has already reported.
         known = trial.study.get_trials(deepcopy=False)[trial.number].intermediate_values
         self._reported = set(known)
 
@@ -116,23 +116,23 @@ class _Reports:
         success = [row["success_rate"] for row in trainer.metrics.rows]
         so_far = [math.fsum(success[replica::replicas]) / done for replica in range(replicas)]
         if done - 1 not in self._reported:
-            self._trial.report(_sum_up(so_far, self._settings), step=done - 1)
+            self._trial.report(_statistic(so_far, self._settings), step=done - 1)
         if done < trainer.rounds and self._trial.should_prune():
             raise optuna.TrialPruned
 
 
 def trial_name(number: int) -> str:
-    """The folder of a trial."""
+    """Returns the name of a trial's folder."""
     return f"trial_{number:04d}"
 
 
 def best_trial(search: Search, study: optuna.Study) -> dict[str, Any] | None:
-    """The best complete trial, and the command that trains it again; None if there is none."""
+    """Returns the best complete trial and the command that repeats it; None without one."""
     trials = study.get_trials(deepcopy=False)
     complete = [item for item in trials if item.state is optuna.trial.TrialState.COMPLETE]
     if not complete:
         return None
-    # Of equals the first, however the trials were shared out among processes.
+    # The first of equals, however processes shared the trials.
     best = max(complete, key=lambda item: (item.value, -item.number))
     values = {name: best.params[name] for name in search.space}
     return {
@@ -148,7 +148,7 @@ def best_trial(search: Search, study: optuna.Study) -> dict[str, Any] | None:
 
 
 def write_tables(search: Search, study: optuna.Study) -> None:
-    """Writes ``trials.csv`` and ``best.json``, atomically."""
+    """Writes ``trials.csv`` and ``best.json`` atomically."""
     rows = [
         {
             "trial": item.number,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from bbq_torchrl.protocols import EvaluationHook, ReplicaOptimizer, RoundEnv
-from bbq_torchrl.seeds import derive_seed
 from bbq_torchrl.trainers.best_weights import BestWeights
 from bbq_torchrl.trainers.checkpoint import CheckpointFolder
 from bbq_torchrl.trainers.collect import EpisodeStats, Policy, episode_stats, rollout, rollouts
@@ -22,6 +21,7 @@ from bbq_torchrl.trainers.optimizer import ReplicaAdam
 from bbq_torchrl.trainers.progress import RoundProgress
 from bbq_torchrl.trainers.round_trainer import RoundCallback, RoundTrainer
 from bbq_torchrl.trainers.spiking import Spike
+from bbq_torchrl.utils.seeds import derive_seed
 
 __all__ = [
     "BestWeights",

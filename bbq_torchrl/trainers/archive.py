@@ -18,7 +18,7 @@ from tensordict import TensorDict
 from torchrl.checkpoint import Checkpoint, StateDictCheckpointAdapter
 from torchrl.checkpoint._checkpoint import _decode_state_dict_value
 
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

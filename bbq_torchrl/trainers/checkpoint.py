@@ -32,10 +32,10 @@ import torch
 from torch.utils import _pytree as pytree
 from torchrl.checkpoint import Checkpoint, CheckpointError
 
-from bbq_torchrl.run_folder import is_utf8
-from bbq_torchrl.text import shown
 from bbq_torchrl.trainers.archive import TensorFiles, read_archive
 from bbq_torchrl.trainers.errors import CheckpointDamagedError, CheckpointMismatchError
+from bbq_torchrl.utils.files import is_utf8
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping

@@ -10,8 +10,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bbq_torchrl.run_folder import write_text
 from bbq_torchrl.trainers.errors import TrainingError
+from bbq_torchrl.utils.files import write_text
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

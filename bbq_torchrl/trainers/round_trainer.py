@@ -22,8 +22,6 @@ from bbq_torchrl.protocols import (
     modules_with,
     provides,
 )
-from bbq_torchrl.run_folder import CHECKPOINTS, METRICS
-from bbq_torchrl.seeds import derive_seed
 from bbq_torchrl.trainers.checkpoint import CheckpointFolder
 from bbq_torchrl.trainers.collect import collect_dialogues
 from bbq_torchrl.trainers.errors import (
@@ -35,6 +33,8 @@ from bbq_torchrl.trainers.errors import (
 from bbq_torchrl.trainers.learn import Learner
 from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
 from bbq_torchrl.trainers.progress import RoundProgress
+from bbq_torchrl.utils.files import CHECKPOINTS, METRICS
+from bbq_torchrl.utils.seeds import derive_seed
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -13,7 +13,7 @@ from torchrl.envs import EnvBase, Transform
 
 from bbq_torchrl.bayes.replicas import checked_number
 from bbq_torchrl.checks import ABOVE_ZERO, AT_LEAST_ZERO, at_least, check, one_of
-from bbq_torchrl.seeds import checked_seed
+from bbq_torchrl.utils.seeds import checked_seed
 from bbq_torchrl.vime.information_gain import RunningMedian, information_gain
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import csv
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Literal
 
-from bbq_torchrl.reports import table
+from bbq_torchrl.utils.reports import table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import yaml
 
 from bbq_torchrl.evaluation.pairs import difference
-from bbq_torchrl.reports import table
+from bbq_torchrl.utils.reports import table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

@@ -22,8 +22,8 @@ from bbq_torchrl.evaluation.grid import grid_report
 from bbq_torchrl.evaluation.groups import Group, read_groups
 from bbq_torchrl.evaluation.metrics import rounds_to_reach
 from bbq_torchrl.evaluation.results import reference_lines
-from bbq_torchrl.reports import NONE, Report, save
-from bbq_torchrl.statistics import estimate
+from bbq_torchrl.utils.reports import NONE, Report, save
+from bbq_torchrl.utils.statistics import estimate
 from scripts.docs_blocks import common
 from scripts.docs_blocks.common import block, code, command, paired, read_csv, table
 from scripts.docs_blocks.tables import measured

@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
 
     from bbq_torchrl.evaluation.groups import Group
-    from bbq_torchrl.statistics import Estimate
+    from bbq_torchrl.utils.statistics import Estimate
 
 TABLE1 = {"full": "table1/full", "domain_ext": "table1/extension"}
 """Environment -> folder of its runs in results/."""

@@ -11,16 +11,16 @@ from typing import TYPE_CHECKING
 
 import forked
 
-from bbq_torchrl import interruption
+from bbq_torchrl.utils import interruption
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
 PROGRAMS = {
     "train": "train",
-    "evaluate": "bbq_torchrl.evaluate",
+    "evaluate": "bbq_torchrl.cli.evaluate",
     "search": "bbq_torchrl.search.__main__",
-    "domains": "bbq_torchrl.calibrate",
+    "domains": "bbq_torchrl.cli.calibrate",
     "report": "bbq_torchrl.evaluation.report",
 }
 """Command -> the module of its main function."""

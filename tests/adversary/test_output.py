@@ -17,7 +17,7 @@ TRAIN = str(ROOT / "train.py")
 COMMANDS = {
     "train --help": (TRAIN, "--help"),
     "train --cfg": (TRAIN, "--cfg", "job"),
-    "evaluate": ("-m", "bbq_torchrl.evaluate", "policy=rule", "dialogues=2"),
+    "evaluate": ("-m", "bbq_torchrl.cli.evaluate", "policy=rule", "dialogues=2"),
     "report --help": ("-m", "bbq_torchrl.evaluation.report", "--help"),
     "bbq": ("-c", "import sys; from bbq_torchrl.cli.console import main; sys.exit(main())"),
 }

@@ -7,7 +7,7 @@ import shutil
 
 import pytest
 
-from bbq_torchrl import calibrate
+from bbq_torchrl.cli import calibrate
 from bbq_torchrl.domains import load_domain
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
 from bbq_torchrl.evaluation.rollouts import evaluate

@@ -8,8 +8,8 @@ import sys
 import pytest
 
 import bbq_torchrl
-from bbq_torchrl import interruption
 from bbq_torchrl.cli import console
+from bbq_torchrl.utils import interruption
 
 
 @pytest.fixture(autouse=True)

@@ -10,7 +10,7 @@ import os, signal, time
 
 from joblib.externals.loky.backend import get_context
 
-from bbq_torchrl import interruption
+from bbq_torchrl.utils import interruption
 
 if __name__ == "__main__":
     worker = get_context("loky").Process(target=time.sleep, args=(600,))

@@ -7,7 +7,7 @@ import sys
 
 import pytest
 
-from bbq_torchrl import output
+from bbq_torchrl.utils import output
 
 
 @pytest.fixture

@@ -6,8 +6,8 @@ import pytest
 import yaml
 
 from bbq_torchrl.people.study.plan import StudyError, load_study
-from bbq_torchrl.plain_yaml import check_yaml, read_yaml
 from bbq_torchrl.runs.sweeps import table_of_runs
+from bbq_torchrl.utils.files import check_yaml, read_yaml
 
 
 def doubled(first, pattern):
@@ -24,11 +24,11 @@ BOMBS = {
     "merges": doubled("{x: 1}", "{<<: [%s]}"),
     "keys": doubled("[x]", "{? [%s] : 1}"),
 }
-TOO_MUCH = "its aliases make more than 10000 values of it"
+TOO_MUCH = "its aliases expand to more than 10000 values"
 FAULTS = {
     **dict.fromkeys(BOMBS.values(), TOO_MUCH),
-    "a: &a [*a]": "an alias in line 1 stands for what it is part of",
-    "a: &a {b: {c: *a}}": "an alias in line 1 stands for what it is part of",
+    "a: &a [*a]": "an alias in line 1 refers to a value that contains it",
+    "a: &a {b: {c: *a}}": "an alias in line 1 refers to a value that contains it",
     "[" * 50_000: "it is nested too deeply",
     "a: [": "it is not valid YAML: expected the node content, but found '<stream end>' in line 1",
     "a: *b": "it is not valid YAML: found undefined alias 'b' in line 1",

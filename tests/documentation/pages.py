@@ -17,12 +17,12 @@ def snippets(page: Path, language: str) -> list[str]:
 
 
 def commands(program: str) -> list[tuple[str, list[str]]]:
-    """Returns (page, arguments) of every documented command line that starts with ``program``."""
+    """Returns (page, arguments) of every documented command line of a program."""
     found = []
     for page in PAGES:
         for text in snippets(page, "bash"):
             for line in text.replace("\\\n", " ").splitlines():
-                _, is_there, arguments = line.partition(f"python {program}")
+                _, is_there, arguments = line.partition(program)
                 if is_there and not line.startswith("#"):
                     found.append((page.name, shlex.split(arguments, comments=True)))
     return found

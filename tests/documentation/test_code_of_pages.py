@@ -54,9 +54,9 @@ def telling(kind, found, *alike):
             known |= words
 
 
-TRAININGS = [item for item in commands("train.py") if is_composed(item[1])]
-EVALUATIONS = commands("-m bbq_torchrl.evaluate")
-SEARCHES = commands("-m bbq_torchrl.search")
+TRAININGS = [item for item in commands("python train.py") if is_composed(item[1])]
+EVALUATIONS = commands("bbq evaluate")
+SEARCHES = commands("python -m bbq_torchrl.search")
 
 
 def test_the_documentation_shows_python_trainings_and_evaluations():

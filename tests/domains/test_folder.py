@@ -104,7 +104,7 @@ EDITED = {
     "bomb": (
         "turn_width: 24",
         f"turn_width: [&a0 [x, x], {BOMB}]",
-        "its aliases make more than 10000",
+        "its aliases expand to more than 10000",
     ),
 }
 WRITTEN = {

@@ -9,8 +9,7 @@ import sys
 import pytest
 from tiny import TINY
 
-from bbq_torchrl import calibrate
-from bbq_torchrl.cli import console
+from bbq_torchrl.cli import calibrate, console
 from bbq_torchrl.domains import REQUIRED_ACTS, Goal, load_domain
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
 from bbq_torchrl.evaluation.rollouts import evaluate

@@ -68,7 +68,7 @@ def test_a_result_is_read_as_it_was_written_without_what_is_newer(tmp_path):
 
 @pytest.mark.parametrize("read", [read_result, read_metrics])
 def test_a_folder_without_the_file_is_no_run_folder(tmp_path, read):
-    with pytest.raises(ValueError, match=r"has no \w+\.(json|csv): it is no run folder"):
+    with pytest.raises(ValueError, match=r"has no \w+\.(json|csv): it is not a run folder"):
         read(tmp_path)
 
 

@@ -15,7 +15,7 @@ from bbq_torchrl.evaluation import (
     interquartile_mean,
 )
 from bbq_torchrl.evaluation.pairs import difference
-from bbq_torchrl.statistics import t_test
+from bbq_torchrl.utils.statistics import t_test
 
 SEEDS = [0.71, 0.64, 0.80, 0.75, 0.69, 0.77, 0.73]
 

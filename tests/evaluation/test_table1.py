@@ -10,7 +10,7 @@ from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.table1 import PAPER, comparisons, find_cells
 from bbq_torchrl.options.registry import options
 from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.statistics import estimate
+from bbq_torchrl.utils.statistics import estimate
 
 GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]
 BAD = [0.68, 0.77, 0.74, 0.69, 0.74]

@@ -11,8 +11,8 @@ import pytest
 from tiny import TINY
 from torch.testing import assert_close
 
-from bbq_torchrl import evaluate as command
 from bbq_torchrl import load_run
+from bbq_torchrl.cli import evaluate as command
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.evaluation.rollouts import evaluate

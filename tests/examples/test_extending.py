@@ -11,7 +11,7 @@ import torch
 from extended import PACKAGE, SHRUNKEN
 from torchrl.data import Composite, Unbounded
 
-from bbq_torchrl import evaluate
+from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation import report
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.options import ConfigError, registry

@@ -10,7 +10,7 @@ import torch
 from tiny import TINY, rows
 from torch.testing import assert_close
 
-from bbq_torchrl import evaluate
+from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.options import explorations, schemas
 from bbq_torchrl.runs.compose import compose

@@ -9,11 +9,11 @@ import shutil
 import pytest
 from tiny import TINY, rows
 
-from bbq_torchrl.extras import install_command
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.runs.checks import check
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import build_trainer, run
+from bbq_torchrl.utils.extras import install_command
 
 
 def test_a_logger_whose_package_is_missing_is_refused_with_the_way_to_it(monkeypatch):

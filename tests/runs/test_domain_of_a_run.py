@@ -10,7 +10,7 @@ import shutil
 import pytest
 from tiny import TINY
 
-from bbq_torchrl import evaluate
+from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.runs import final
 from bbq_torchrl.runs.compose import compose

@@ -13,13 +13,13 @@ from forked import environment
 from hydra.core.utils import JobReturn, JobStatus
 from tiny import rows
 
-from bbq_torchrl import interruption
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.resume import load_config
 from bbq_torchrl.runs.sweeps import FULL_ERROR, Sweep, table_of_runs
 from bbq_torchrl.runs.train import run
 from bbq_torchrl.trainers import RunFolderGoneError
+from bbq_torchrl.utils import interruption
 
 from .trusted import DQN, resumed, state_of
 
@@ -136,7 +136,7 @@ def test_hydra_does_not_tell_of_each_job_that_a_signal_has_ended(
 def test_a_signal_lets_the_round_end_and_saves_it(tmp_path, listening, kept):
     assert signal.getsignal(signal.SIGINT) is signal.getsignal(signal.SIGTERM)
     folder = tmp_path / "run"
-    interruption.tell(how_to_go_on=lambda: "so it goes on")
+    interruption.tell(how_to_continue=lambda: "so it continues")
 
     def signaled(trainer, rows):
         os.kill(os.getpid(), signal.SIGTERM)
@@ -145,7 +145,7 @@ def test_a_signal_lets_the_round_end_and_saves_it(tmp_path, listening, kept):
         run(compose([*DQN, "protocol.keep_checkpoints=last"]), folder, [signaled])
 
     assert interruption.exit_code() == 128 + signal.SIGTERM
-    assert interruption.line() == "interrupted after 1 of 3 rounds, 1 saved: so it goes on"
+    assert interruption.line() == "interrupted after 1 of 3 rounds, 1 saved: so it continues"
     newest = max((folder / "checkpoint").iterdir()).name
     assert newest == "round-000001.torchrl"
     interruption._State.received = None
@@ -187,7 +187,7 @@ def test_a_disk_without_room_is_an_error_before_the_first_byte(kept, monkeypatch
 
 ORPHAN = """
 import multiprocessing, time
-from bbq_torchrl import interruption
+from bbq_torchrl.utils import interruption
 
 def work():
     interruption.end_with_parent()

@@ -10,12 +10,12 @@ import pytest
 import yaml
 from prepared import resumed
 
-from bbq_torchrl import text
-from bbq_torchrl.evaluate import composed
+from bbq_torchrl.cli.evaluate import composed
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.resume import load_config, save_config
-from bbq_torchrl.text import sentence
+from bbq_torchrl.utils import text
+from bbq_torchrl.utils.text import sentence
 
 SAVED_BY_0_1_0 = Path(__file__).parent.parent / "data" / "runs_of_0_1_0"
 

@@ -8,7 +8,7 @@ import pytest
 from tiny import TINY, rows
 from torch.testing import assert_close
 
-from bbq_torchrl import evaluate
+from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import build_trainer, run

@@ -5,8 +5,8 @@ from __future__ import annotations
 import prepared
 from tiny import TINY
 
-from bbq_torchrl.run_folder import LOCK
 from bbq_torchrl.runs.train import run
+from bbq_torchrl.utils.files import LOCK
 
 DQN = (
     *TINY,

@@ -244,10 +244,10 @@ def test_a_trial_below_the_median_of_the_others_is_stopped_after_its_grace(tmp_p
 @pytest.mark.parametrize(
     ("changed", "folder", "sentence"),
     [
-        ("search.objective=final", "a", "a holds a search with search.objective=training"),
-        ("search.space.agent.lr.high=.1", "a", "a holds a search with search.space.agent.lr="),
-        ("replicas=2", "a", "a holds a search with fixed="),
-        ("env=domain_ext", "b", "search.storage holds a search with fixed="),
+        ("search.objective=final", "a", "a has a search with search.objective=training"),
+        ("search.space.agent.lr.high=.1", "a", "a has a search with search.space.agent.lr="),
+        ("replicas=2", "a", "a has a search with fixed="),
+        ("env=domain_ext", "b", "search.storage has a search with fixed="),
     ],
 )
 def test_a_folder_or_database_is_not_used_for_another_search(tmp_path, changed, folder, sentence):
@@ -263,13 +263,11 @@ def test_a_database_that_does_not_know_the_folders_trials_is_refused(tmp_path):
     search(whole, trials=2)
     before, again = (whole / "trials.csv").read_text(), Training()
     (whole / "study.db").unlink()
-    gone = (
-        r"whole holds trials that .*whole/study\.db does not know: choose another search\.folder$"
-    )
+    gone = r"whole has trials that .*whole/study\.db lacks: choose another search\.folder$"
     with pytest.raises(ConfigError, match=gone):
         search(whole, trials=2, training=again)
     new = f"search.storage=sqlite:///{tmp_path / 'new.db'}"
-    with pytest.raises(ConfigError, match=r"holds trials that search\.storage=.* does not know"):
+    with pytest.raises(ConfigError, match=r"has trials that search\.storage=.* lacks"):
         search(whole, new, trials=2, training=again)
     assert not again.played
     assert (whole / "trials.csv").read_text() == before
@@ -280,7 +278,7 @@ def test_a_database_of_another_folder_is_refused(tmp_path):
     search(tmp_path / "a", shared, trials=1)
     search(tmp_path / "b", trials=1)
     for folder in ("b", "new"):
-        refusal = r"holds the search of another folder than .*: choose another search\.folder$"
+        refusal = r"has the search of another folder than .*: choose another search\.folder$"
         with pytest.raises(ConfigError, match=refusal):
             search(tmp_path / folder, shared, trials=2, training=again)
     assert not again.played

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 if __name__ == "__main__":  # before anything that takes time to import
-    from bbq_torchrl import interruption
+    from bbq_torchrl.utils import interruption
 
     interruption.listen()
 
@@ -13,13 +13,12 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bbq_torchrl import output
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.registry import load_folder
-from bbq_torchrl.output import between
-from bbq_torchrl.pages import page
 from bbq_torchrl.people.dialogue import RULE_NAMES
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils import output
+from bbq_torchrl.utils.output import between, page
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     import argparse

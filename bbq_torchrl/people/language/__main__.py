@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 if __name__ == "__main__":  # before anything that takes time to import
-    from bbq_torchrl import interruption
+    from bbq_torchrl.utils import interruption
 
     interruption.listen()
 
@@ -17,7 +17,6 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from bbq_torchrl import output
 from bbq_torchrl.domains import load_domain
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.people.language.generate import Generator
@@ -25,6 +24,7 @@ from bbq_torchrl.people.language.labeled import read_lines
 from bbq_torchrl.people.language.measure import measure_lines, measure_round_trip
 from bbq_torchrl.people.language.simulated import play
 from bbq_torchrl.people.language.understand import SENTENCES, Understander
+from bbq_torchrl.utils import output
 
 if TYPE_CHECKING:
     import argparse

@@ -6,7 +6,6 @@ from collections import defaultdict
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.extras import needed
 from bbq_torchrl.people.language.quantities import (
     DAY_WORDS,
     MONTH_WORDS,
@@ -17,6 +16,7 @@ from bbq_torchrl.people.language.quantities import (
 )
 from bbq_torchrl.people.language.tagger import OUTSIDE, spans_of
 from bbq_torchrl.people.language.words import COUNT_WORDS, NUMBER_WORDS, compact, word_set
+from bbq_torchrl.utils.extras import needed
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -12,7 +12,7 @@ from bbq_torchrl.people.language.asking import OPENING
 from bbq_torchrl.people.language.corpus import Example
 from bbq_torchrl.people.language.tagger import OUTSIDE, spans_of
 from bbq_torchrl.people.language.words import compact, tokenize, words_of
-from bbq_torchrl.text import FaultsError
+from bbq_torchrl.utils.text import FaultsError
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

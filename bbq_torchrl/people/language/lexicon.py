@@ -10,10 +10,10 @@ from functools import cache, cached_property, lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains import FIRST_VALUE, build_vocabulary, fold
-from bbq_torchrl.extras import needed
 from bbq_torchrl.people.language.phrases import load_phrases
 from bbq_torchrl.people.language.quantities import READERS, Kind, kind_of
 from bbq_torchrl.people.language.words import compact, pairs, tokenize, word_set
+from bbq_torchrl.utils.extras import needed
 
 if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain

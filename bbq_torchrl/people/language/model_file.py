@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from bbq_torchrl.people.language.confidence import CUES
-from bbq_torchrl.run_folder import write_bytes
-from bbq_torchrl.text import sentence, shown
+from bbq_torchrl.utils.files import write_bytes
+from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

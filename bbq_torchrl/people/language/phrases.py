@@ -11,8 +11,8 @@ import yaml
 
 from bbq_torchrl.people.language.quantities import KINDS, Kind
 from bbq_torchrl.people.language.templates import Template, TemplateError, parse
-from bbq_torchrl.plain_yaml import read_yaml
-from bbq_torchrl.text import FaultsError, shown
+from bbq_torchrl.utils.files import read_yaml
+from bbq_torchrl.utils.text import FaultsError, shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -7,7 +7,7 @@ from itertools import groupby
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
-from bbq_torchrl.extras import needed
+from bbq_torchrl.utils.extras import needed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     import random

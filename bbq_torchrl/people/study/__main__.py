@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 if __name__ == "__main__":  # before anything that takes time to import
-    from bbq_torchrl import interruption
+    from bbq_torchrl.utils import interruption
 
     interruption.listen()
 
@@ -15,12 +15,11 @@ from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl import interruption, output
-from bbq_torchrl.extras import needed
-from bbq_torchrl.output import between
-from bbq_torchrl.pages import page
 from bbq_torchrl.people.study.plan import StudyError, data_of, load_study
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils import interruption, output
+from bbq_torchrl.utils.extras import needed
+from bbq_torchrl.utils.output import between, page
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     import argparse

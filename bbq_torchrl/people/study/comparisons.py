@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from bbq_torchrl.people.study.records import HIGHEST, LOWEST
 from bbq_torchrl.people.study.statistics import Interval, mann_whitney, mean, sign_flip, two_by_two
-from bbq_torchrl.statistics import holm
+from bbq_torchrl.utils.statistics import holm
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.people.study.database import PRIVATE
 from bbq_torchrl.people.study.records import SCALES, act_content, act_text
-from bbq_torchrl.run_folder import write_text
+from bbq_torchrl.utils.files import write_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

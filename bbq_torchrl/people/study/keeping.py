@@ -18,7 +18,7 @@ from bbq_torchrl.people.study.database import (
 )
 from bbq_torchrl.people.study.plan import StudyError
 from bbq_torchrl.people.study.store import hashed
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from pathlib import Path

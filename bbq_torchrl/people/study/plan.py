@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.people.dialogue import RULE_NAMES
-from bbq_torchrl.plain_yaml import read_yaml
-from bbq_torchrl.text import FaultsError, shown
+from bbq_torchrl.utils.files import read_yaml
+from bbq_torchrl.utils.text import FaultsError, shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping

@@ -14,8 +14,8 @@ from bbq_torchrl.people.study.export import export
 from bbq_torchrl.people.study.records import HIGHEST, LOWEST, SCALES
 from bbq_torchrl.people.study.simulate import RATING_RULE
 from bbq_torchrl.people.study.statistics import auroc, kappa, mean, proportion
-from bbq_torchrl.reports import table
-from bbq_torchrl.run_folder import write_bytes, write_text
+from bbq_torchrl.utils.files import write_bytes, write_text
+from bbq_torchrl.utils.reports import table
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence

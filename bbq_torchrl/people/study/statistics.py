@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from scipy import optimize, stats
 
-from bbq_torchrl.statistics import CONFIDENCE, half_width
+from bbq_torchrl.utils.statistics import CONFIDENCE, half_width
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Sequence

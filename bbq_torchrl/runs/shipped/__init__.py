@@ -1,8 +1,7 @@
-"""Trained agents that come with the package: ``shipped:<name>`` in the place of a run folder.
+"""Trained agents that come with the package, used as ``shipped:<name>`` instead of a run folder.
 
-A shipped agent is a folder here, with what a run folder has of it: configuration, result, the
-command line, and a checkpoint that holds nothing but the Q-network's weights, in half precision.
-``scripts/ship_agent.py`` makes it of a finished run.
+Each is a folder here with the configuration, the result, the command line, and a checkpoint of the
+Q-network's weights in half precision. ``scripts/ship_agent.py`` makes it from a finished run.
 """
 
 from __future__ import annotations
@@ -11,7 +10,7 @@ from os.path import expanduser
 from pathlib import Path
 
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils.text import shown
 
 __all__ = ["SHIPPED", "is_shipped", "run_folder", "shipped_agents"]
 
@@ -27,14 +26,14 @@ def shipped_agents() -> list[str]:
 
 
 def run_folder(place: Path | str, base: Path | None = None) -> Path:
-    """Returns the folder that a text names: that of a shipped agent, or a run folder.
+    """Returns the folder of a shipped agent, or a run folder.
 
     Args:
         place: ``shipped:<name>`` or a path.
-        base: from where on a relative path leads; the working directory unless given.
+        base: the folder that relative paths start from. Defaults to the working directory.
 
     Raises:
-        ConfigError: there is no shipped agent of that name.
+        ConfigError: no shipped agent has that name.
 
     Examples:
         >>> run_folder("shipped:bbqn_map").name
@@ -50,5 +49,5 @@ def run_folder(place: Path | str, base: Path | None = None) -> Path:
 
 
 def is_shipped(folder: Path) -> bool:
-    """Returns whether a folder is that of a shipped agent."""
+    """Returns whether a folder belongs to a shipped agent."""
     return folder.resolve().parent == SHIPPED

@@ -5,9 +5,9 @@ from pathlib import Path
 import forked
 import pytest
 
-from bbq_torchrl.extras import needed
 from bbq_torchrl.people.language.quantities import READERS
 from bbq_torchrl.people.language.words import tokenize
+from bbq_torchrl.utils.extras import needed
 
 TABLE = Path(__file__).with_name("quantities.txt").read_text()
 ROWS = [line for line in TABLE.splitlines() if line and line[0] != "#"]

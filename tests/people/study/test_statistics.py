@@ -19,7 +19,7 @@ from bbq_torchrl.people.study.statistics import (
     sign_flip,
     two_by_two,
 )
-from bbq_torchrl.statistics import holm
+from bbq_torchrl.utils.statistics import holm
 
 
 @pytest.mark.parametrize(("won", "count"), [(0, 10), (3, 10), (40, 66), (66, 66)])

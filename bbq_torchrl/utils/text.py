@@ -10,20 +10,20 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
-_VALUE = 200  # characters of a value: more than any that somebody typed
+_VALUE = 200  # characters of a value: more than anybody types
 _LINE = 5_000  # characters of a sentence
 _FAULTS = 100  # lines
 _SHORTEST_SECRET = 4  # characters
 
-_concealed: dict[str, str] = {}  # what is not shown -> what is, in its place
+_concealed: dict[str, str] = {}  # secret -> the text shown instead
 
 
 class FaultsError(ValueError):
     """An error that lists several faults, one a line.
 
     Args:
-        subject: what has them.
-        faults: one sentence or more.
+        subject: the thing at fault, such as a file.
+        faults: at least one sentence.
 
     Attributes:
         subject: the same.
@@ -37,7 +37,7 @@ class FaultsError(ValueError):
     """
 
     def __init__(self, subject: str, faults: Sequence[str]) -> None:
-        # `args` stay what was given, which an error that is unpickled is made of.
+        # `args` stay the arguments, from which unpickling makes the error.
         self.subject, self.faults = subject, tuple(faults)
 
     def __str__(self) -> str:
@@ -52,12 +52,11 @@ class FaultsError(ValueError):
 def conceal_environment(text: str) -> None:
     """Hides from errors the values of the environment variables that a text refers to.
 
-    Where ``${oc.env:NAME}`` is written, somebody may keep a secret out of the command line. From
-    then on errors have the reference in the place of the value, if that has four characters or
-    more.
+    ``${oc.env:NAME}`` may keep a secret out of the command line. From now on errors show the
+    reference instead of its value, if the value has at least four characters.
 
     Args:
-        text: that OmegaConf resolves.
+        text: a text that OmegaConf resolves.
     """
     for reference, name in re.findall(r"(\$\{\s*oc\.env\s*:\s*['\"]?([^'\",}\s]+))", text):
         value = os.environ.get(name, "")
@@ -68,14 +67,14 @@ def conceal_environment(text: str) -> None:
 
 
 def _without_secrets(text: str) -> str:
-    """Returns a text without what is to be concealed."""
+    """Returns a text with its secrets replaced."""
     for value in sorted(_concealed, key=len, reverse=True):
         text = text.replace(value, _concealed[value])
     return text
 
 
 def shown(value: object) -> str:
-    """Returns a value as Python writes it, the middle of a long one left out.
+    """Returns the ``repr`` of a value, shortened in the middle.
 
     Examples:
         >>> shown("abc"), shown(0.5)
@@ -88,9 +87,9 @@ def shown(value: object) -> str:
 
 
 def sentence(error: object) -> str:
-    r"""Returns what an error says: one line, or one for each fault of a :class:`FaultsError`.
+    r"""Returns the message of an error: one line, or a line for each of several faults.
 
-    The middle of a very long line is left out. An error of the operating system has its file.
+    A very long line is shortened in the middle. An error of the operating system names its file.
 
     Examples:
         >>> sentence("a value\nis  wrong")
@@ -111,14 +110,14 @@ def _one_line(text: str) -> str:
 
 
 def _container(value: object) -> str:
-    # Python's own repr walks all of a list that holds a million lists.
+    # The built-in repr would walk all of a list of a million lists.
     few = reprlib.Repr()
     few.maxlist = few.maxtuple = few.maxdict = few.maxset = 20
     few.maxstring = few.maxother = few.maxlong = _VALUE
     try:
         return few.repr(value)
     except ValueError:  # an integer of thousands of digits
-        return f"a value that is too long to be shown ({type(value).__name__})"
+        return f"a value too long to show ({type(value).__name__})"
 
 
 def _cut(text: str, length: int) -> str:

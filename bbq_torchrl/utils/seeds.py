@@ -30,7 +30,7 @@ def checked_seed(seed: SupportsIndex) -> int:
     """Returns a seed as a Python integer; NumPy's and torch's integers are accepted too.
 
     Raises:
-        ValueError: unless it is an integer from 0 to 2**63 - 1.
+        ValueError: it is not an integer from 0 to 2**63 - 1.
 
     Examples:
         >>> import numpy as np

@@ -1,9 +1,9 @@
-"""Ctrl-C and SIGTERM: a command ends with one line that says how far it is and how to continue.
+"""Ctrl-C and SIGTERM: a command ends with one line on its progress and how to continue.
 
-A training ends after the round under way, with a checkpoint of it (:func:`on_interrupt`). A second
-signal ends it at once, and so does the first one where there is nothing to save. Every file of a
-run is written so that a process can die at any moment: it ends without unwinding, and so without a
-traceback out of some import. This module imports nothing that takes time.
+A training finishes and saves the current round (:func:`on_interrupt`). A second signal ends it at
+once, as does the first one when there is nothing to save. The process then exits without unwinding,
+so no traceback comes out of an import; files are written so that this loses nothing. This module
+imports nothing slow.
 """
 
 from __future__ import annotations
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
     from types import FrameType
 
 _SIGNALS = (signal.SIGINT, signal.SIGTERM)
-_LOOKS_EVERY = 0.5  # seconds
-_ORPHANED = 1  # the exit code of a worker that nobody waits for any more
+_POLL_SECONDS = 0.5
+_ORPHANED = 1  # exit code of a worker whose parent is gone
 
 
 class Interrupted(BaseException):
-    """Raised where a signal has stopped the work in good order; :func:`line` says how far it is."""
+    """Raised after a signal has stopped the work; :func:`line` reports the progress."""
 
 
 class _State:
@@ -42,8 +42,8 @@ class _State:
 
 
 def listen() -> None:
-    """Makes Ctrl-C and SIGTERM end this process with a line, unless something else handles them."""
-    # Python's process that clears away semaphores would add a warning to the line.
+    """Makes Ctrl-C and SIGTERM end this process with a line, unless they have other handlers."""
+    # Python's resource tracker would print a warning after the line.
     quiet, others = "ignore:resource_tracker:UserWarning", os.environ.get("PYTHONWARNINGS", "")
     if quiet not in others:
         os.environ["PYTHONWARNINGS"] = ",".join(filter(None, [others, quiet]))
@@ -53,10 +53,10 @@ def listen() -> None:
 
 
 def end_with_parent() -> None:
-    """Ends a worker of a sweep as soon as the process that started it has ended.
+    """Ends a worker of a sweep when its parent process ends; does nothing outside a worker.
 
-    A parent that is killed (SIGKILL, out of memory) stops no worker: it would train for nobody, and
-    keep the same command out of its run folder. Elsewhere, and once it is so, it does nothing.
+    A parent that is killed (SIGKILL, out of memory) stops no workers. They would train on, and keep
+    the run folders locked.
     """
     parent = multiprocessing.parent_process()
     if parent is None or _State.ends_with_parent:
@@ -65,36 +65,35 @@ def end_with_parent() -> None:
 
     def watch() -> None:
         while os.getppid() == parent.pid:
-            time.sleep(_LOOKS_EVERY)
+            time.sleep(_POLL_SECONDS)
         os._exit(_ORPHANED)
 
     threading.Thread(target=watch, name="end-with-parent", daemon=True).start()
 
 
 def tell(
-    where: Callable[[], str] | None = None, how_to_go_on: Callable[[], str] | None = None
+    where: Callable[[], str] | None = None, how_to_continue: Callable[[], str] | None = None
 ) -> None:
-    """Says what the line at the end is made of.
+    """Sets the parts of the line printed after a signal.
 
     Args:
-        where: how far the work is, such as ``"after 16 of 25 rounds"``.
-        how_to_go_on: such as ``"python train.py resume=runs/x continues it"``.
+        where: the progress, such as ``"after 16 of 25 rounds"``.
+        how_to_continue: such as ``"python train.py resume=runs/x continues it"``.
     """
     _State.where = where or _State.where
-    _State.how = how_to_go_on or _State.how
+    _State.how = how_to_continue or _State.how
 
 
 def line() -> str:
-    """Returns what the command ends by."""
+    """Returns the last line of an interrupted command."""
     return f"interrupted {_State.where()}: {_State.how()}"
 
 
 @contextmanager
 def on_interrupt(stop: Callable[[], None]) -> Iterator[None]:
-    """Calls ``stop`` at the first signal within it, after which :func:`check` raises.
+    """Calls ``stop``, which lets the work end by itself, at the first signal in the context.
 
-    Args:
-        stop: makes the work end by itself.
+    After the signal :func:`check` raises.
     """
     before, _State.stop = _State.stop, stop
     try:
@@ -104,12 +103,12 @@ def on_interrupt(stop: Callable[[], None]) -> Iterator[None]:
 
 
 def exit_code() -> int:
-    """Returns what a command ends with that a signal has stopped; 0 where none has come."""
+    """Returns the exit code of a command stopped by a signal; 0 before any signal."""
     return 0 if _State.received is None else 128 + _State.received
 
 
 def check() -> None:
-    """Raises Interrupted if a signal has come."""
+    """Raises :class:`Interrupted` after a signal."""
     if _State.received is not None:
         raise Interrupted
 
@@ -123,7 +122,7 @@ def _handle(number: int, frame: FrameType | None) -> None:
     elif multiprocessing.parent_process() is None:
         _end()
     elif _State.stop is None:
-        # A worker of a sweep: it must not vanish, which would end the other jobs with it.
+        # A worker of a sweep: exiting here would end the other jobs with it.
         raise Interrupted
 
 
@@ -132,7 +131,7 @@ def _end() -> NoReturn:
         if worker.pid is not None:  # joblib's processes have no kill()
             with suppress(ProcessLookupError):
                 os.kill(worker.pid, signal.SIGKILL)
-    start = "\n" if _on_terminal() else ""  # a progress bar may stand in the line
+    start = "\n" if _on_terminal() else ""  # after a progress bar
     _say(f"{start}{line()}\n")
     os._exit(exit_code())
 
@@ -142,7 +141,7 @@ def _on_terminal() -> bool:
 
 
 def _say(text: str) -> None:
-    """Writes past all that Python may just be doing; where it cannot, the exit code tells."""
+    """Writes to standard error unbuffered, if possible; the exit code says the rest."""
     if sys.stderr is not None:
         with suppress(OSError):
             os.write(sys.stderr.fileno(), text.encode())

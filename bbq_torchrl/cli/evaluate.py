@@ -1,9 +1,9 @@
-"""``python -m bbq_torchrl.evaluate``: plays dialogues and prints one line of JSON."""
+"""``bbq evaluate``: plays dialogues and prints one line of JSON."""
 
 from __future__ import annotations
 
 if __name__ == "__main__":  # before anything that takes time to import
-    from bbq_torchrl import interruption
+    from bbq_torchrl.utils import interruption
 
     interruption.listen()
 
@@ -14,15 +14,15 @@ from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl import interruption, output
 from bbq_torchrl.options import ConfigError, EvaluateConfig
 from bbq_torchrl.options.values import replica_values
-from bbq_torchrl.pages import page
 from bbq_torchrl.runs.compose import compose, run_of
 from bbq_torchrl.runs.overrides import take_config_dir
 from bbq_torchrl.runs.resume import run_config
 from bbq_torchrl.runs.shipped import run_folder
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils import interruption, output
+from bbq_torchrl.utils.output import page
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -32,26 +32,26 @@ if TYPE_CHECKING:
     from bbq_torchrl.envs import DialogueEnv
 
 USAGE = f"""\
-usage: python -m bbq_torchrl.evaluate policy=<policy> [<key>=<value> ...]
+usage: bbq evaluate policy=<policy> [<key>=<value> ...]
 
 Plays dialogues and prints one line of JSON: success_rate, standard_error, reward, turns,
 dialogues, turns_per_second.
 
-  policy=      random, a scripted policy of the domain (rule, careful, ...), clairvoyant (it is
-               privileged: it reads the user's hidden goal), a run folder, or shipped:<name>, an
-               agent that comes with the package (what has not been trained plays in round 0 of
-               env=domain_ext, a trained agent in the round that it was saved in)
-  dialogues=   how many; for each replica of a run folder
-  batch=       how many run side by side
-  env=, domain=  as in bbq train; a run folder's own unless given, where env.<key>= or
-               domain.<key>= changes a key
-  env.level=   text: users speak in sentences, which are understood; see
+  policy=      random, a scripted policy of the domain (rule, careful, ...), clairvoyant
+               (privileged: it reads the user's hidden goal), a run folder, or shipped:<name>, an
+               agent that comes with the package. In env=domain_ext a trained agent plays in the
+               round in which it was saved, the other policies in round 0.
+  dialogues=   number of dialogues, for each replica of a run folder
+  batch=       number of dialogues played in parallel
+  env=, domain=  as in bbq train; a run folder keeps its options, and env.<key>= or domain.<key>=
+               changes a key
+  env.level=   text: users speak in sentences, which the agent has to understand; see
                {page("language")}
   mode=        mean, average, draw or thompson, for a Bayesian agent
-  weights=     last, or best: each replica's at its best evaluation while training
+  weights=     last, or best: each replica's weights at its best evaluation during training
   log=<file>   writes the first log_dialogues= dialogues as readable acts
   seed=, device=, threads=
-  --config-dir <folder>   of options of your own, as in bbq train; its Python is run
+  --config-dir <folder>   folder of your own options, as in bbq train; its Python files are run
 
 Meaning and allowed values of a key: {page("reference/keys")}
 """
@@ -72,10 +72,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def composed(overrides: Sequence[str]) -> EvaluateConfig:
-    """The configuration of a command line, on the environment and domain of the run it names.
+    """Returns the configuration of a command line, based on the environment of the run it names.
 
     Raises:
-        ConfigError: a key or value that is wrong, or a folder that is no run folder.
+        ConfigError: a wrong key or value, or a folder that is not a run folder.
     """
     policy = run_of(overrides, "policy")
     folder = run_folder(policy) if policy else None
@@ -84,13 +84,10 @@ def composed(overrides: Sequence[str]) -> EvaluateConfig:
 
 
 def evaluation(config: EvaluateConfig) -> dict[str, Any]:
-    """Plays the dialogues of a configuration. Returns what is printed.
-
-    Args:
-        config: what to play.
+    """Plays the dialogues of a configuration. Returns the values to print.
 
     Raises:
-        ValueError or OSError: a policy, corpus or device that is not there.
+        ValueError or OSError: a missing policy, corpus or device.
     """
     import torch
 
@@ -99,8 +96,8 @@ def evaluation(config: EvaluateConfig) -> dict[str, Any]:
     from bbq_torchrl.runs.build import make_domain
     from bbq_torchrl.runs.checks import check_device
     from bbq_torchrl.runs.loading import trained_policy
-    from bbq_torchrl.statistics import binomial_standard_error
     from bbq_torchrl.trainers import keep_freed_memory
+    from bbq_torchrl.utils.statistics import binomial_standard_error
 
     check_device(config.device)
     torch.set_num_threads(config.threads)

@@ -1,8 +1,7 @@
 """Estimates over training seeds and their intervals. The unit is the seed, never the dialogue.
 
-Dialogues of one trained agent only tell how well *that* agent was measured
-(:func:`binomial_standard_error`); what another training would give is told by the spread over seeds
-(:func:`estimate`).
+The standard error over dialogues (:func:`binomial_standard_error`) covers the measurement of one
+trained agent. The spread over seeds (:func:`estimate`) covers training.
 """
 
 from __future__ import annotations
@@ -19,14 +18,14 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 CONFIDENCE = 0.95
-"""Of every interval."""
+"""Confidence level of every interval."""
 
 RESAMPLES = 9_999
 MIN_BOOTSTRAP = 5
-"""Below so many seeds a bootstrap has too few distinct samples to mean anything."""
+"""Minimum number of seeds for a bootstrap: fewer give too few distinct samples."""
 
 ROUNDING = 1e-9
-"""By which a mean over rounds may miss its bounds."""
+"""Tolerance by which a mean over rounds may exceed its bounds."""
 
 
 @dataclass(frozen=True)
@@ -35,9 +34,9 @@ class Estimate:
 
     Attributes:
         value: the estimate.
-        low: lower end of the interval; NaN where there are too few seeds for one.
-        high: upper end of the interval; NaN where there are too few seeds for one.
-        spec: format of its numbers where none is given; ``+.3f`` shows the signs of differences.
+        low: lower end of the interval; NaN with too few seeds.
+        high: upper end of the interval; NaN with too few seeds.
+        spec: default format of the numbers; ``+.3f`` shows the sign of differences.
     """
 
     value: float
@@ -49,14 +48,14 @@ class Estimate:
         return format(self)
 
     def __format__(self, spec: str) -> str:
-        """Formats each number by ``spec``, its own unless given."""
+        """Formats each number by ``spec``."""
         spec = spec or self.spec
         if math.isnan(self.low):
             return format(self.value, spec)
         return f"{self.value:{spec}} [{self.low:{spec}}, {self.high:{spec}}]"
 
     def csv_columns(self) -> dict[str, float]:
-        """Returns what stands in the columns of a CSV file."""
+        """Returns suffixes of CSV columns and their numbers."""
         return {"": self.value, "_low": self.low, "_high": self.high}
 
 
@@ -67,7 +66,7 @@ def binomial_standard_error(rate: float, dialogues: int) -> float:
 
     Args:
         rate: successes / dialogues, in [0, 1].
-        dialogues: how many were played.
+        dialogues: number of dialogues.
 
     Examples:
         >>> round(binomial_standard_error(0.5, 10_000), 4)
@@ -77,10 +76,10 @@ def binomial_standard_error(rate: float, dialogues: int) -> float:
 
 
 def interquartile_mean(values: Any, axis: int = -1) -> Any:
-    """Mean of the middle half: the lowest and the highest ``int(n / 4)`` of n values are dropped.
+    """Returns the mean of the middle half: ``int(n / 4)`` of n values are dropped at each end.
 
-    The 25 % trimmed mean that Agarwal et al. (2021, "Deep RL at the edge of the statistical
-    precipice") report. Five values keep the middle three; fewer than four keep all.
+    The 25 % trimmed mean of Agarwal et al. (2021, "Deep RL at the edge of the statistical
+    precipice"). Five values keep the middle three; fewer than four keep all.
 
     Examples:
         >>> float(interquartile_mean([0.0, 1.0, 2.0, 3.0, 100.0]))
@@ -92,18 +91,16 @@ def interquartile_mean(values: Any, axis: int = -1) -> Any:
 def estimate(
     values: Sequence[float], spec: str = ".3f", *, bounds: tuple[float, float] = (0.0, 1.0)
 ) -> Estimate:
-    """The mean over training seeds with its 95 % Student t interval; none for a single seed.
+    """Returns the mean over training seeds with its 95 % Student t interval, clipped to ``bounds``.
 
-    The interval is cut where it leaves ``bounds``, as the truth cannot lie there.
-
-    The interval takes seeds for normally distributed. Of few seeds it is still right where a
-    bootstrap is too narrow: for five normally distributed seeds the BCa interval holds the mean in
+    A single seed has no interval. The t interval assumes normally distributed seeds; with few of
+    them a bootstrap would be too narrow: for five such seeds the BCa interval covers the mean in
     about 85 % of cases.
 
     Args:
-        values: one value for each seed.
-        spec: that of the :class:`Estimate`.
-        bounds: least and largest possible value; those of a rate unless given.
+        values: one value per seed.
+        spec: the format of the :class:`Estimate`.
+        bounds: smallest and largest possible value; a rate's by default.
 
     Raises:
         ValueError: no values, or a value that is not finite or out of bounds.
@@ -125,13 +122,13 @@ def estimate(
 
 
 def estimate_iqm(values: Sequence[float]) -> Estimate:
-    """The interquartile mean over training seeds with its 95 % bootstrap interval.
+    """Returns the interquartile mean over training seeds with its 95 % bootstrap interval.
 
-    Seeds are resampled with replacement, bias-corrected and accelerated (BCa,
-    ``scipy.stats.bootstrap``); percentiles where BCa is undefined. Below five seeds there is none.
+    The bootstrap is bias-corrected and accelerated (BCa, ``scipy.stats.bootstrap``), or by
+    percentiles where BCa is undefined. Fewer than five seeds have no interval.
 
     Args:
-        values: one value for each seed.
+        values: one value per seed.
 
     Raises:
         ValueError: no values, or a value that is not finite.
@@ -144,7 +141,7 @@ def estimate_iqm(values: Sequence[float]) -> Estimate:
     value = float(interquartile_mean(data))
     if data.size < MIN_BOOTSTRAP:
         return Estimate(value)
-    for method in ("BCa", "percentile"):  # BCa is undefined where all values are the same, say
+    for method in ("BCa", "percentile"):  # BCa is undefined if all values are equal, for example
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             interval = stats.bootstrap(
@@ -170,8 +167,8 @@ def _finite(values: Sequence[float]) -> Any:
 def t_test(differences: Sequence[float]) -> float:
     """Returns the two-sided p-value of Student's t test that the mean difference is 0.
 
-    Of one difference it is 1. Where all are equal, so that there is no spread to judge by, it is 1
-    for differences of 0 and 0 for others.
+    A single difference gives 1. Equal differences, which have no spread, give 1 if they are 0, else
+    0.
 
     Examples:
         >>> round(t_test([0.1, 0.2, 0.3]), 4)
@@ -185,7 +182,7 @@ def t_test(differences: Sequence[float]) -> float:
 
 
 def half_width(values: Any) -> float:
-    """Returns half the width of the 95 % Student t interval of a mean of two values or more.
+    """Returns half the width of the 95 % Student t interval of the mean of at least two values.
 
     Examples:
         >>> round(half_width([0.7, 0.72, 0.74, 0.76, 0.78]), 3)

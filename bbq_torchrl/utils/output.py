@@ -1,7 +1,7 @@
-"""Output of commands, and their exit codes where it cannot be written.
+"""Output of commands, and their exit codes when it cannot be written.
 
-The reader of a pipe may have gone (``| head``), a disk may be full, a stream may be closed. Python
-alone would end such a command in a traceback, or with another exit code.
+The reader of a pipe may have left (``| head``), the disk may be full, or a stream closed. Python by
+itself would print a traceback, or return another exit code.
 """
 
 from __future__ import annotations
@@ -13,29 +13,32 @@ import sys
 from contextlib import contextmanager, redirect_stdout, suppress
 from functools import wraps
 from io import StringIO, TextIOWrapper
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec
 
-from bbq_torchrl.text import sentence, shown
+from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
     from typing import TextIO
 
+_PACKAGE = Path(__file__).resolve().parent.parent
+
 Given = ParamSpec("Given")
 
 NOT_WRITTEN = 1
-"""Exit code of a command whose standard output cannot be written."""
+"""Exit code when standard output cannot be written."""
 
 NO_READER = 141
-"""Exit code of a command that nobody reads any more: that of a process which SIGPIPE ends."""
+"""Exit code when the reader of a pipe has left, as after SIGPIPE."""
 
 
 def write(text: str) -> None:
-    """Prints what a command is asked for.
+    """Prints the result of a command.
 
     Raises:
-        SystemExit: it cannot be printed: :data:`NO_READER` without a word, else
-            :data:`NOT_WRITTEN` after a sentence.
+        SystemExit: the text cannot be printed: :data:`NO_READER` silently, or
+            :data:`NOT_WRITTEN` after a message.
     """
     try:
         if sys.stdout is None:  # closed before Python started
@@ -53,13 +56,13 @@ def write(text: str) -> None:
 
 
 def escape() -> None:
-    """Escapes on standard output what its encoding lacks, such as ±, as standard error does."""
+    """Makes standard output escape characters that its encoding lacks, as standard error does."""
     if isinstance(sys.stdout, TextIOWrapper) and sys.stdout.errors == "strict":
         sys.stdout.reconfigure(errors="backslashreplace")
 
 
 def print_error(line: str) -> None:
-    """Prints a line on standard error, if that can be: the exit code tells the same."""
+    """Prints a line to standard error, if possible."""
     if sys.stderr is not None:
         try:
             sys.stderr.write(f"{line}\n")
@@ -69,9 +72,9 @@ def print_error(line: str) -> None:
 
 
 def refusing(main: Callable[Given, int]) -> Callable[Given, int]:
-    """Makes a command line end with a sentence and exit code 2 where an argument is wrong.
+    """Decorates a command: an error of the user prints one sentence and returns exit code 2.
 
-    That is a ValueError, an OSError, or a library of an extra that is not installed.
+    Such errors are ValueError, OSError and the missing library of an extra.
     """
 
     @wraps(main)
@@ -87,7 +90,7 @@ def refusing(main: Callable[Given, int]) -> Callable[Given, int]:
 
 @contextmanager
 def collected() -> Iterator[None]:
-    """Collects what others print within it, and prints it by :func:`write`."""
+    """Collects standard output in the context, and prints it by :func:`write`."""
     text = StringIO()
     try:
         with redirect_stdout(text):
@@ -97,7 +100,7 @@ def collected() -> Iterator[None]:
 
 
 def settle() -> None:
-    """Lets go of what was logged to standard output and cannot be written: the work is done."""
+    """Flushes standard output at the end of a command; discards what cannot be written."""
     if sys.stdout is not None:
         try:
             sys.stdout.flush()
@@ -106,9 +109,9 @@ def settle() -> None:
 
 
 class Parser(argparse.ArgumentParser):
-    """argparse's parser, whose help is printed by :func:`write`.
+    """argparse's parser with help printed by :func:`write`, and the description left as written.
 
-    Its description stays as it is: argparse would break the path of a page at a hyphen.
+    argparse would break the path of a page at a hyphen.
     """
 
     def __init__(self, **kwargs: Any) -> None:
@@ -124,12 +127,12 @@ class Parser(argparse.ArgumentParser):
 
 
 def between(kind: type[int] | type[float], low: float, high: float) -> Callable[[str], float]:
-    """Returns what reads an argument that must be a number, ends included.
+    """Returns the ``type`` of an argparse argument: a number from ``low`` to ``high``.
 
     Args:
         kind: ``int`` for a whole number, else ``float``.
-        low: the least that is allowed.
-        high: the most.
+        low: the minimum.
+        high: the maximum.
     """
 
     def number(text: str) -> float:
@@ -144,8 +147,24 @@ def between(kind: type[int] | type[float], low: float, high: float) -> Callable[
     return number
 
 
+def page(name: str) -> Path:
+    """Returns the file of a documentation page.
+
+    A wheel has the pages that ``pyproject.toml`` includes, a checkout has all.
+
+    Args:
+        name: the path in docs/ without the suffix.
+
+    Examples:
+        >>> page("chat").is_file()
+        True
+    """
+    within = _PACKAGE / "docs" / f"{name}.md"
+    return within if within.is_file() else _PACKAGE.parent / "docs" / f"{name}.md"
+
+
 def _discard(stream: TextIO | None) -> None:
-    """Sends what a stream still holds nowhere, so that Python's last flush finds no error."""
+    """Redirects a stream to nowhere, so that Python's last flush does not fail."""
     if stream is not None:
         nowhere = os.open(os.devnull, os.O_WRONLY)
         os.dup2(nowhere, stream.fileno())

@@ -1,4 +1,4 @@
-"""Extras of the project: how they are installed here, their libraries, and a database address."""
+"""Extras of the project: the command that installs one, its modules, and the URL of SQLite."""
 
 from __future__ import annotations
 
@@ -10,17 +10,16 @@ from importlib.metadata import PackageNotFoundError, distribution
 from pathlib import Path
 from typing import Any
 
-_PACKAGE = Path(__file__).resolve().parent
+_PACKAGE = Path(__file__).resolve().parent.parent
 
 
 def install_command(extra: str) -> str:
     """Returns the command that installs an extra.
 
-    A checkout is installed by its folder, and a wheel by its file: only a project that came from
-    an index is found there by its name.
+    It names the folder of a checkout, or the file of a wheel that was not installed from an index.
 
     Args:
-        extra: its name, such as ``search``.
+        extra: the name, such as ``search``.
     """
     checkout = _PACKAGE.parent
     if (checkout / "pyproject.toml").is_file():
@@ -31,15 +30,15 @@ def install_command(extra: str) -> str:
 
 @cache
 def needed(package: str, module: str, extra: str = "language") -> Any:
-    """Returns a module of an extra's library.
+    """Imports a module that an extra installs.
 
     Args:
-        package: what pip calls the library.
-        module: what is imported.
-        extra: the extra that installs it.
+        package: the library's name for pip.
+        module: the module.
+        extra: the extra.
 
     Raises:
-        ModuleNotFoundError: if it is not installed, with the command that installs it.
+        ModuleNotFoundError: it is missing; the message has the command that installs it.
     """
     try:
         return importlib.import_module(module)
@@ -51,11 +50,10 @@ def needed(package: str, module: str, extra: str = "language") -> Any:
 
 
 def sqlite_url(file: Path) -> str:
-    """Returns SQLAlchemy's address of a file, whatever characters its path has.
+    """Returns SQLAlchemy's URL of an SQLite file, whatever characters its path has.
 
-    A path that is put into such an address as it is leads elsewhere if it has a ``%``, ``#`` or
-    ``?``. As a file URI it is read alike by SQLAlchemy 2.0, which leaves the name of a database as
-    it is, and by 2.1, which quotes it.
+    A file URI escapes ``%``, ``#`` and ``?``. SQLAlchemy 2.0, which does not quote the name of a
+    database, and 2.1, which does, read it alike.
 
     Args:
         file: an absolute path.
@@ -67,13 +65,13 @@ def sqlite_url(file: Path) -> str:
     """
     from sqlalchemy.engine import URL  # comes with Optuna and with MLflow
 
-    # The driver is named because MLflow makes folders of an address that begins with "sqlite:///".
+    # MLflow would create folders for a URL that begins with "sqlite:///".
     url = URL.create("sqlite+pysqlite", database=file.as_uri(), query={"uri": "true"})
     return url.render_as_string()
 
 
 def _origin() -> str:
-    """Returns the URL that pip installed the project from, empty where that is an index."""
+    """Returns the URL that pip installed the project from; empty for an index."""
     try:
         recorded = distribution("bbq-torchrl").read_text("direct_url.json")
     except PackageNotFoundError:

@@ -1,4 +1,4 @@
-"""Reports: text, figures, and tables that are shown as Markdown and kept as CSV."""
+"""Reports: text, figures, and tables as Markdown and CSV."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from dataclasses import dataclass
 from io import BytesIO
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
-from bbq_torchrl.run_folder import write_bytes
+from bbq_torchrl.utils.files import write_bytes
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,15 +18,15 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 NONE = "–"
-"""Stands in Markdown where there is nothing."""
+"""An empty cell in Markdown."""
 
 
 @runtime_checkable
 class Cell(Protocol):
-    """A value shown as one cell of a table, by ``str``, and kept as several columns."""
+    """A value printed as one cell (``str``) and written to CSV as several columns."""
 
     def csv_columns(self) -> Mapping[str, float]:
-        """Returns what the names of the columns end in -> the numbers, with all their digits."""
+        """Returns suffixes of CSV columns and their numbers, unrounded."""
 
 
 @dataclass(frozen=True)
@@ -34,10 +34,10 @@ class Table:
     """A table of a report.
 
     Attributes:
-        name: of its CSV file.
-        rows: column to cell each; a column that a row lacks has a dash there. Of a name such as
-            ``reward: the paper's`` the part behind the colon is shown.
-        words: how many columns, the first ones, are not numbers.
+        name: the name of its CSV file.
+        rows: column -> cell; a missing cell is shown as a dash. A column such as
+            ``reward: the paper's`` is headed by the part after the colon.
+        words: the number of leading columns that are text.
     """
 
     name: str
@@ -45,7 +45,7 @@ class Table:
     words: int = 1
 
     def __str__(self) -> str:
-        """The table as Markdown; empty without rows."""
+        """Returns the table as Markdown; empty without rows."""
         if not self.rows:
             return ""
         names = dict.fromkeys(name for row in self.rows for name in row)
@@ -54,10 +54,10 @@ class Table:
         return table(head, cells, numbers=len(head) - self.words)
 
     def write(self, folder: Path) -> None:
-        """Writes the table as ``<name>.csv``, unrounded; no file where there are no rows.
+        """Writes the table as ``<name>.csv``, unrounded; without rows it removes that file.
 
         A cell with an interval becomes several columns: ``final_success``, ``final_success_low``
-        and so on. What there is not, such as the interval of a single seed, is empty.
+        and so on. Missing numbers, such as the interval of a single seed, are empty.
         """
         file = folder / f"{_plain(self.name)}.csv"
         if not self.rows:
@@ -76,11 +76,11 @@ class Report:
     """A report: text, tables and figures.
 
     Attributes:
-        name: of its Markdown file.
-        title: its heading.
+        name: the name of its Markdown file.
+        title: the heading.
         parts: paragraphs and tables, in order.
-        figures: name of the file -> its title, and the function that draws it.
-        data: tables that are written as CSV only.
+        figures: file name -> title and drawing function.
+        data: tables written as CSV only.
     """
 
     name: str
@@ -91,14 +91,14 @@ class Report:
 
     @property
     def body(self) -> str:
-        """The report below its heading, as Markdown."""
+        """The report without its heading, as Markdown."""
         return "\n\n".join(filter(None, map(str, self.parts)))
 
     def __str__(self) -> str:
         return f"# {self.title}\n\n{self.body}\n"
 
     def write(self, folder: Path) -> None:
-        """Writes ``<name>.md``, each table as CSV, each figure as PNG and as SVG."""
+        """Writes ``<name>.md``, each table as CSV, and each figure as PNG and SVG."""
         folder.mkdir(parents=True, exist_ok=True)
         shown = [f"![{title}]({name}.png)\n" for name, (title, _) in self.figures.items()]
         (folder / f"{self.name}.md").write_text("\n".join([str(self), *shown]), encoding="utf-8")
@@ -124,7 +124,7 @@ def _line(row: Mapping[str, object]) -> dict[str, object]:
 
 
 def _plain(name: str) -> str:
-    """Returns a name without spaces and the like: ``final_success`` for ``final success``."""
+    """Returns a name for files and columns, such as ``final_success`` for ``final success``."""
     return re.sub(r"[^\w.]+", "_", name.lower().replace("'", "")).strip("_")
 
 
@@ -139,7 +139,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]], *, numbers: int
     Args:
         head: the column names.
         rows: the cells; a pipe in one is escaped.
-        numbers: how many columns, the last ones, are aligned to the right.
+        numbers: the number of trailing columns aligned to the right.
 
     Examples:
         >>> print(table(("agent", "success"), [("a|b", 0.5)], numbers=1))
@@ -154,7 +154,7 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]], *, numbers: int
 
 
 def save(figure: Figure, file: Path) -> None:
-    """Writes a figure as its file's ending says: a PNG or an SVG file."""
+    """Writes a figure as PNG or SVG, by the suffix of the file."""
     picture = BytesIO()
     figure.savefig(picture, dpi=150, format=file.suffix.removeprefix("."))
     write_bytes(file, picture.getvalue())

@@ -1,9 +1,8 @@
-"""``python -m bbq_torchrl.domains calibrate``: how many errors make a domain how difficult.
+"""``bbq domains calibrate``: finds the slot error probability of a given difficulty.
 
-A domain is as difficult as one of its scripted policies finds it: the reference setting is the slot
-error probability at which the policy has a wanted success rate. It is found by a root finder on
-the success of the same users with the same dice, which falls with the probability almost without
-noise, and then measured with other users.
+Difficulty is measured by a scripted policy: at the reference probability it has a given success
+rate. A root finder searches with the same users and random numbers, so that success falls with the
+probability almost without noise. The result is then measured with other users.
 """
 
 from __future__ import annotations
@@ -13,46 +12,46 @@ import functools
 import sys
 from typing import TYPE_CHECKING, NamedTuple
 
-from bbq_torchrl import interruption, output
 from bbq_torchrl.domains import importing
 from bbq_torchrl.options import CalibrateConfig, ConfigError
-from bbq_torchrl.pages import page
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.overrides import take_config_dir
-from bbq_torchrl.text import shown
+from bbq_torchrl.utils import interruption, output
+from bbq_torchrl.utils.output import page
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
 
 USAGE = f"""\
 usage: python -m bbq_torchrl.domains calibrate [<key>=<value> ...]
-       python -m bbq_torchrl.domains import --help    a domain folder from a corpus of MiuLab's form
+       python -m bbq_torchrl.domains import --help    a domain folder from a corpus in MiuLab's form
 
-Finds the slot error probability at which a scripted policy succeeds in a wanted share of dialogues,
-and prints the line to write into domain.yaml, with standard errors.
+Finds the slot error probability at which a scripted policy has a given success rate, and prints the
+line for domain.yaml, with standard errors.
 
   domain=, domain.path=   the domain, as in bbq train
   policy=     a scripted policy of the domain; rule by default
-  success=    the wanted success rate; 0.183 by default, that of the paper's rule agent
-  dialogues=  how many are played for each probability that is tried
-  env=, env.<key>=  turn limit, error mode and the like, as in bbq train; with env=domain_ext the
-              essential slots alone, as in round 0
+  success=    the success rate to reach; 0.183 by default, that of the paper's rule agent
+  dialogues=  dialogues for each probability that is tried
+  env=, env.<key>=  turn limit, error mode and so on, as in bbq train; with env=domain_ext only the
+              essential slots are active, as in round 0
   batch=, seed=, device=, threads=
 
 Meaning and allowed values of a key: {page("reference/keys")}
 """
 
 _PRECISION = 5e-5
-_STEP = 0.02  # of the probability, over which the slope is taken
+_STEP = 0.02  # difference of probabilities for the slope
 
 
 class Calibration(NamedTuple):
     """A calibrated error probability.
 
     Attributes:
-        slot_error_prob: four decimals.
-        error: its standard error: that of the success rates that it was found by, over the slope.
-        success_rate: at that probability, of users that were not there when it was looked for.
+        slot_error_prob: the probability, to four decimals.
+        error: its standard error: that of the success rates divided by the slope.
+        success_rate: success at that probability, with users not used in the search.
         success_error: standard error of that rate.
     """
 
@@ -86,15 +85,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibration:
-    """Finds the probability.
+    """Finds the slot error probability.
 
     Args:
-        config: domain, policy and success rate wanted.
-        tell: takes a line for every probability that was tried.
+        config: domain, policy and the success rate to reach.
+        tell: called with a line for every probability that is tried.
 
     Raises:
-        ConfigError: no probability gives that success rate, or the domain has no such policy.
-        ValueError or OSError: the corpus is damaged or not there.
+        ConfigError: no probability gives that success rate, or the domain lacks the policy.
+        ValueError or OSError: the corpus is damaged or missing.
     """
     import torch
     from scipy.optimize import brentq
@@ -103,8 +102,8 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
     from bbq_torchrl.evaluation.rollouts import evaluate
     from bbq_torchrl.options.env import FullDomain
     from bbq_torchrl.runs.checks import check_device
-    from bbq_torchrl.statistics import binomial_standard_error
     from bbq_torchrl.trainers import derive_seed, keep_freed_memory
+    from bbq_torchrl.utils.statistics import binomial_standard_error
 
     option = config.env
     if not isinstance(option, FullDomain):
@@ -114,12 +113,12 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
         )
     if option.level != "act" or option.errors != "drawn":
         raise ConfigError(
-            f"env.level must be act and env.errors drawn, whose probability is looked for, got "
+            f"env.level must be act and env.errors drawn, whose probability is calibrated, got "
             f"{option.level!r} and {option.errors!r}"
         )
     if option.slot_error_prob is not None:
         raise ConfigError(
-            "env.slot_error_prob must be null: it is what is looked for, got "
+            "env.slot_error_prob must be null, as the command finds it, got "
             f"{option.slot_error_prob}"
         )
     check_device(config.device)
@@ -127,7 +126,7 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
     keep_freed_memory()
     domain = config.domain.make()
     if config.policy not in domain.policies:
-        names = ", ".join(domain.policies) or "the domain's scripted policies, of which it has none"
+        names = ", ".join(domain.policies) or "the domain's scripted policies, but it has no policy"
         raise ConfigError(f"policy must be one of {names}, got {shown(config.policy)}")
 
     @functools.cache

@@ -1,0 +1,1 @@
+"""Utilities for every room: messages, output, signals, files, seeds, statistics, reports."""
