@@ -9,7 +9,7 @@ if __name__ == "__main__":  # before anything that takes time to import
 
 import importlib
 import sys
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import replace
 from os.path import expanduser
 from pathlib import Path
@@ -19,12 +19,17 @@ from bbq_torchrl import interruption, output
 from bbq_torchrl.extras import needed
 from bbq_torchrl.output import between
 from bbq_torchrl.pages import page
+from bbq_torchrl.people.study.address import Address, is_everywhere, listen
 from bbq_torchrl.people.study.plan import StudyError, data_of, load_study
 from bbq_torchrl.text import shown
 
 if TYPE_CHECKING:
     import argparse
+    import socket
     from collections.abc import Callable, Sequence
+
+    from bbq_torchrl.people.dialogue.talk import Talker
+    from bbq_torchrl.people.study.plan import Study
 
 TALKER = "bbq_torchrl.people.study.agents:make_talker"
 USERS = "bbq_torchrl.people.study.users:make_users"
@@ -130,24 +135,40 @@ def _path(text: str) -> Path:
 def _serve(given: argparse.Namespace) -> None:
     for library in ("starlette", "jinja2", "uvicorn"):
         needed(library, library, "study")
-    make = _function("--talker", given.talker)
-    study = load_study(given.study)
+    with listen(given.host, given.port) as listener:  # before anything that takes time
+        output.print_error(f"reading {given.study} ...")
+        study = load_study(given.study)
+        output.print_error(f"loading the agents {', '.join(study.terms.agents)} ...")
+        talker = _function("--talker", given.talker)(study)
+        interruption.tell(lambda: "while serving", lambda: "the same command continues the study")
+        if is_everywhere(given.host) and not study.terms.url:
+            output.print_error(
+                f"the links are for this machine; for people elsewhere set url in {given.study}"
+            )
+        _run(study, talker, listener, Address.local(given.host, given.port))
+
+
+def _run(study: Study, talker: Talker, listener: socket.socket, local: Address) -> None:
+    """Serves a study until it is told to end.
+
+    Args:
+        study: what is asked of people.
+        talker: the agents.
+        listener: a socket that listens.
+        local: its address, used where the study names none.
+    """
     import uvicorn
 
     from bbq_torchrl.people.study.store import Store
     from bbq_torchrl.people.study.web import JOIN, RESEARCHER, application
 
-    talker = make(study)
-    interruption.tell(lambda: "while serving", lambda: "the same command continues the study")
     prints = {agent: talker.fingerprint(agent) for agent in study.terms.agents}
     with closing(Store(study.data, study.terms, prints)) as store:
-        site = f"http://{given.host}:{given.port}"
-        _say(f"for people: {site}/join/{store.key(JOIN)}")
-        _say(f"for you: {site}/r/{store.key(RESEARCHER)}")
-        uvicorn.run(
+        address = Address.of(study.terms.url) if study.terms.url else local
+        _say(f"for people: {address.link(f'/join/{store.key(JOIN)}')}")
+        _say(f"for you: {address.link(f'/r/{store.key(RESEARCHER)}')}")
+        config = uvicorn.Config(
             application(study, store, talker),
-            host=given.host,
-            port=given.port,
             # The links are secrets, so they are in no log.
             access_log=False,
             log_level="warning",
@@ -158,6 +179,8 @@ def _serve(given: argparse.Namespace) -> None:
             timeout_keep_alive=120,
             timeout_graceful_shutdown=10,
         )
+        with suppress(KeyboardInterrupt):
+            uvicorn.Server(config).run(sockets=[listener])
 
 
 def _simulate(given: argparse.Namespace) -> None:

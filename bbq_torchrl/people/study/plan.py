@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.people.dialogue import RULE_NAMES
+from bbq_torchrl.people.study.address import ALLOWED, Address
 from bbq_torchrl.plain_yaml import read_yaml
 from bbq_torchrl.text import FaultsError, shown
 
@@ -27,12 +28,15 @@ _DEFAULTS: dict[str, Any] = {
     "idle_minutes": 60,
     "joins_per_minute": 5,
     "retention": "",
+    "url": "",
     "ask_below": {},
     "control": {},
 }
 """Without ``sessions``: one with each agent."""
 _QUOTED = "yes, no, numbers and dates in quotes"
 """Since YAML reads them as something else."""
+MAY_CHANGE = ("participants", "joins_per_minute", "url")
+"""Keys that may change after the first person; the others are declared before."""
 _REQUIRED = ("name", "consent", "agents", "pairs", "participants")
 
 
@@ -57,6 +61,7 @@ class Terms:
         idle_minutes: after which an unfinished place is given to somebody else.
         joins_per_minute: how many people may join in a minute.
         retention: how long the data are kept, as the consent page says it; empty where it does not.
+        url: where people reach the study; empty for the server's own address.
         ask_below: name to the confidence below which this agent asks people again, between 0
             (never) and 1; the others as their language layer does.
         control: name to the rules of the dialogue control that hold for this agent; all rules hold
@@ -75,6 +80,7 @@ class Terms:
     idle_minutes: int
     joins_per_minute: int = _DEFAULTS["joins_per_minute"]
     retention: str = ""
+    url: str = ""
     ask_below: Mapping[str, float] = field(default_factory=dict)
     control: Mapping[str, list[str]] = field(default_factory=dict)
 
@@ -135,6 +141,11 @@ def load_study(path: str | Path) -> Study:
     given.setdefault("sessions", max(1, len(agents)))
     wrong = _wrong_values(given, agents)
     faults = [*_key_faults(content), *wrong.values()]
+    if "url" not in wrong and given["url"]:
+        try:
+            Address.of(given["url"])
+        except ValueError as error:
+            faults.append(f"url must {error}, got {shown(given['url'])}")
     if "sessions" not in wrong and agents and given["sessions"] % len(agents):
         faults.append(
             f"sessions must be a multiple of the number of agents ({len(agents)}), so that "
@@ -161,7 +172,7 @@ def load_study(path: str | Path) -> Study:
         faults += _goal_faults(given["goals"], attainable, len(domain.goals), sessions)
     if faults or domain is None:
         raise StudyError(str(file), faults)
-    for key in ("name", "consent", "retention"):
+    for key in ("name", "consent", "retention", "url"):
         given[key] = given[key].strip()
     given["ask_below"] = {name: float(below) for name, below in given["ask_below"].items()}
     given |= {"pairs": tuple(map(tuple, given["pairs"])), "goals": tuple(given["goals"])}
@@ -224,6 +235,7 @@ def _wrong_values(given: Mapping[str, Any], agents: Mapping[str, str]) -> dict[s
             lambda value: isinstance(value, str),
             "be text: until when the data are kept",
         ),
+        "url": (lambda value: isinstance(value, str), f"be {ALLOWED}"),
     }
     return {
         key: f"{key} must {allowed}, got {shown(given[key])}"

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 import bbq_torchrl
 from bbq_torchrl.people.study.database import StoreError, told, writing
 from bbq_torchrl.people.study.design import assignments
-from bbq_torchrl.people.study.plan import Terms
+from bbq_torchrl.people.study.plan import MAY_CHANGE, Terms
 from bbq_torchrl.people.study.records import (
     EXCHANGES,
     HELD,
@@ -325,9 +325,8 @@ def hashed(token: str) -> str:
 
 
 def _changed(old: Terms, new: Terms) -> list[str]:
-    """Returns the differences beyond the numbers of people, which may change."""
-    joins = old.joins_per_minute
-    same = asdict(replace(new, participants=old.participants, joins_per_minute=joins))
+    """Returns the differences beyond the keys that may change."""
+    same = asdict(replace(new, **{key: getattr(old, key) for key in MAY_CHANGE}))
     # As text: the order of the agents counts too.
     return [
         f"the study file says another {key} than at the start"

@@ -18,6 +18,7 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from bbq_torchrl.people.dialogue.judge import card
+from bbq_torchrl.people.study.address import Address
 from bbq_torchrl.people.study.conversations import Conversations, RefusedError
 from bbq_torchrl.people.study.database import StoreError
 from bbq_torchrl.people.study.guard import Guard
@@ -71,7 +72,8 @@ def application(study: Study, store: Store, talker: Talker) -> Starlette:
         store: where it is stored.
         talker: the agents.
     """
-    pages = _Pages(study, store, talker)
+    address = Address.of(study.terms.url) if study.terms.url else Address()
+    pages = _Pages(study, store, talker, address.prefix)
     # Pages are no coroutines: Starlette makes each in a thread.
     routes = [
         Route("/join/{key}", pages.consent),
@@ -83,15 +85,18 @@ def application(study: Study, store: Store, talker: Talker) -> Starlette:
         Mount("/static", StaticFiles(packages=[("bbq_torchrl.people.study", "static")])),
     ]
     handlers: dict[Any, Any] = {HTTPException: pages.no_page, StoreError: pages.not_stored}
-    guard = Middleware(Guard, page=pages.message)
-    return Starlette(routes=routes, middleware=[guard], exception_handlers=handlers)
+    guard = Middleware(Guard, page=pages.message, address=address)
+    app = Starlette(routes=routes, middleware=[guard], exception_handlers=handlers)
+    app.router.redirect_slashes = False  # its redirects know neither prefix nor HTTPS
+    return app
 
 
 class _Pages:
     """The pages, each a function from request to response."""
 
-    def __init__(self, study: Study, store: Store, talker: Talker) -> None:
+    def __init__(self, study: Study, store: Store, talker: Talker, prefix: str) -> None:
         self._study, self._store, self._talker = study, store, talker
+        self._prefix = prefix
         self._conversations = Conversations(study, store, talker)
         self._steps = {name: getattr(self._conversations, name) for name in ("say", "end", "rate")}
 
@@ -109,7 +114,7 @@ class _Pages:
             token = self._conversations.enroll(request.state.form)
         except RefusedError as error:
             return self._consent(error.status, str(error))
-        return _to(token)
+        return self._to(token)
 
     def now(self, request: Request) -> Response:
         """Shows the next step of a person."""
@@ -137,7 +142,7 @@ class _Pages:
             status = HTTPStatus.INTERNAL_SERVER_ERROR
             problem = "The assistant could not answer. Please send your message again."
         else:
-            return _to(token)
+            return self._to(token)
         return self._page(token, status, problem, form, keep_nonce=True)
 
     def _page(
@@ -256,12 +261,12 @@ class _Pages:
         self, template: str, status: HTTPStatus = HTTPStatus.OK, **values: Any
     ) -> HTMLResponse:
         page = _TEMPLATES.get_template(f"{template}.html")
-        return HTMLResponse(page.render(name=self._study.terms.name, **values), status)
+        shared = {"name": self._study.terms.name, "prefix": self._prefix}
+        return HTMLResponse(page.render(**shared, **values), status)
+
+    def _to(self, token: str) -> Response:
+        return RedirectResponse(f"{self._prefix}/p/{token}", HTTPStatus.SEE_OTHER)
 
 
 def _new_nonce() -> str:
     return secrets.token_urlsafe(16)
-
-
-def _to(token: str) -> Response:
-    return RedirectResponse(f"/p/{token}", HTTPStatus.SEE_OTHER)

@@ -80,4 +80,7 @@ def test_a_served_study_ends_when_it_is_told_to(tmp_path):
     server = Server(tmp_path / "study.yaml").start()
     server.process.send_signal(signal.SIGTERM)
     _, errors = server.process.communicate(timeout=60)
-    assert errors == "interrupted while serving: the same command continues the study\n"
+    *loading, last = errors.splitlines()
+    agents = "secret-bbqn, secret-dqn"
+    assert loading == [f"reading {server.file} ...", f"loading the agents {agents} ..."]
+    assert last == "interrupted while serving: the same command continues the study"
