@@ -52,7 +52,7 @@ def _parser() -> argparse.ArgumentParser:
         description=f"A human study.\nSee {page('study')}",
     )
     commands = parser.add_subparsers(
-        required=True, metavar="serve | simulate | report | backup | forget | power"
+        required=True, metavar="serve | simulate | report | participants | backup | forget | power"
     )
 
     serve = commands.add_parser("serve", help="serve a study to browsers")
@@ -97,6 +97,15 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument("--out", type=_path, help="folder; without it, <study>-report")
     report.set_defaults(command=_report)
 
+    participants = commands.add_parser(
+        "participants", help="write who takes part, by the ids of the join link, to pay them"
+    )
+    participants.add_argument("study", type=_path, help="the study file")
+    participants.add_argument(
+        "--out", type=_path, help="file; without it, <study>-participants.csv"
+    )
+    participants.set_defaults(command=_participants)
+
     backup = commands.add_parser("backup", help="copy the data, also while the study is served")
     backup.add_argument("study", type=_path, help="the study file")
     backup.add_argument("copy", type=_path, help="the copy, a file that does not exist")
@@ -136,10 +145,10 @@ def _serve(given: argparse.Namespace) -> None:
     for library in ("starlette", "jinja2", "uvicorn"):
         needed(library, library, "study")
     with listen(given.host, given.port) as listener:  # before anything that takes time
-        output.print_error(f"reading {given.study} ...")
+        make = _function("--talker", given.talker)
         study = load_study(given.study)
         output.print_error(f"loading the agents {', '.join(study.terms.agents)} ...")
-        talker = _function("--talker", given.talker)(study)
+        talker = make(study)
         interruption.tell(lambda: "while serving", lambda: "the same command continues the study")
         if is_everywhere(given.host) and not study.terms.url:
             output.print_error(
@@ -223,6 +232,18 @@ def _report(given: argparse.Namespace) -> None:
     folder = given.out or given.study.with_name(f"{given.study.stem}-report")
     write_report(folder, results)
     _say(f"{len(results.sessions)} ended sessions: {folder / 'report.md'}")
+
+
+def _participants(given: argparse.Namespace) -> None:
+    from bbq_torchrl.people.study.export import export_participants
+
+    file = given.out or given.study.with_name(f"{given.study.stem}-participants.csv")
+    if file.suffix != ".csv":  # the study's data, say
+        raise StudyError(
+            "--out", [f"it must be a file that ends with .csv, got {shown(str(file))}"]
+        )
+    people = export_participants(file, data_of(given.study))
+    _say(f"{people} people: {file}; it tells who is who in the report, so keep them apart")
 
 
 def _backup(given: argparse.Namespace) -> None:

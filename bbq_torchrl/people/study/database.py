@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-_VERSION = 1
-_SCHEMA = """
+_SCHEMAS = (
+    """
 CREATE TABLE study (
     id INTEGER PRIMARY KEY CHECK (id = 1),
     terms TEXT NOT NULL,
@@ -73,7 +73,19 @@ CREATE TABLE rating (
     completion INTEGER NOT NULL CHECK (completion BETWEEN 1 AND 5),
     verdict INTEGER NOT NULL CHECK (verdict IN (0, 1))
 ) STRICT;
-"""
+""",
+    """
+CREATE TABLE recruited (
+    person INTEGER PRIMARY KEY REFERENCES person,
+    participant TEXT NOT NULL UNIQUE,
+    ids TEXT NOT NULL
+) STRICT;
+""",
+)
+"""Of each version, what it adds to those before."""
+_VERSION = len(_SCHEMAS)
+_MISSING = "CREATE TEMP TABLE recruited (person INTEGER, participant TEXT, ids TEXT)"
+"""Stands in for the table where a file of version 1 is read, or people are deleted from it."""
 
 BESIDE = ("-wal", "-shm", "-journal")
 """Endings of the files that SQLite keeps next to a study's."""
@@ -122,7 +134,7 @@ def writing(path: Path) -> Iterator[sqlite3.Connection]:
         for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
             connection.execute(f"PRAGMA {pragma}")
         # Written anew also where it is: a file system that lets nothing be written says so now.
-        script = "" if version else _SCHEMA
+        script = "".join(_SCHEMAS[version:])
         connection.executescript(
             f"BEGIN IMMEDIATE; {script} PRAGMA user_version = {_VERSION}; COMMIT;"
         )
@@ -164,8 +176,11 @@ def _existing(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
             sqlite3.connect(address, timeout=BUSY_SECONDS, uri=True, isolation_level=None)
         ) as connection,
     ):
-        if not _check(path, connection):
+        version = _check(path, connection)
+        if not version:
             raise StoreError(path, "it is empty: the study has not been served yet")
+        if version < _VERSION:  # only a server changes it: an older one may be at work on it
+            connection.execute(_MISSING)
         yield connection
 
 

@@ -57,7 +57,7 @@ def backup(data: Path, target: Path) -> None:
 
 
 def forget(data: Path, participant: str) -> int:
-    """Deletes all of a person: conversations, ratings, times and link. Their place is free again.
+    """Deletes all of a person: conversations, ratings, times, ids and link; their place is free.
 
     Only their number is kept, so that nobody else gets it. Who is forgotten already may be
     forgotten again.
@@ -88,6 +88,7 @@ def forget(data: Path, participant: str) -> int:
             f"DELETE FROM rating WHERE session IN {sessions}",
             f"DELETE FROM exchange WHERE session IN {sessions}",
             "DELETE FROM session WHERE person = ?",
+            "DELETE FROM recruited WHERE person = ?",
             "UPDATE person SET token = 'forgotten ' || id, place = -1, enrolled = 0, active = 0 "
             "WHERE id = ?",
         ):

@@ -154,17 +154,23 @@ class Store:
 
     # -- people ------------------------------------------------------------------------------------
 
-    def enroll(self, nonce: str) -> str | None:
+    def enroll(self, nonce: str, ids: Mapping[str, str] | None = None) -> str | None:
         """Gives somebody a place in the design. Returns their token, ``None`` where all are taken.
 
         A place is free until somebody has it, and again when they have left it unfinished, after
-        ten minutes if they have said nothing: the lowest goes first. The same nonce gets the same
-        token.
+        ten minutes if they have said nothing: the lowest goes first.
+
+        Args:
+            nonce: of the form; the same one gets the same token.
+            ids: name to value of what the join link says of the person. If there are any, the first
+                value is who it is, and the same one gets the same token.
 
         Raises:
             JoinRateError: more people want to join than may in a minute.
         """
-        token, now = self.key(f"person {nonce}"), self._clock()
+        participant = next(iter(ids.values())) if ids else None
+        token = self.key(f"person {nonce}" if participant is None else f"participant {participant}")
+        now = self._clock()
         with self.transaction() as connection:
             known = "SELECT id FROM person WHERE token = ?"
             if connection.execute(known, (hashed(token),)).fetchone():
@@ -183,6 +189,9 @@ class Store:
                 "INSERT INTO person (token, place, enrolled, active) VALUES (?, ?, ?, ?)",
                 (hashed(token), place, now, now),
             ).lastrowid
+            if ids:
+                recruited = (person, participant, json.dumps(ids))
+                connection.execute("INSERT INTO recruited VALUES (?, ?, ?)", recruited)
             terms = self._terms
             plan = assignments(
                 place, tuple(terms.agents), terms.goals, terms.sessions, self._secret

@@ -19,7 +19,7 @@ from starlette.staticfiles import StaticFiles
 
 from bbq_torchrl.people.dialogue.judge import card
 from bbq_torchrl.people.study.address import Address
-from bbq_torchrl.people.study.conversations import Conversations, RefusedError
+from bbq_torchrl.people.study.conversations import Conversations, RefusedError, ids_of
 from bbq_torchrl.people.study.database import StoreError
 from bbq_torchrl.people.study.guard import Guard
 from bbq_torchrl.people.study.records import act_text, current
@@ -84,7 +84,11 @@ def application(study: Study, store: Store, talker: Talker) -> Starlette:
         Route("/r/{key}/{session}", pages.transcript),
         Mount("/static", StaticFiles(packages=[("bbq_torchrl.people.study", "static")])),
     ]
-    handlers: dict[Any, Any] = {HTTPException: pages.no_page, StoreError: pages.not_stored}
+    handlers: dict[Any, Any] = {
+        HTTPException: pages.no_page,
+        StoreError: pages.not_stored,
+        RefusedError: pages.refused,
+    }
     guard = Middleware(Guard, page=pages.message, address=address)
     app = Starlette(routes=routes, middleware=[guard], exception_handlers=handlers)
     app.router.redirect_slashes = False  # its redirects know neither prefix nor HTTPS
@@ -105,13 +109,15 @@ class _Pages:
     def consent(self, request: Request) -> Response:
         """Shows the consent form."""
         self._check(request, JOIN)
+        self._ids(request)
         return self._consent(HTTPStatus.OK, "")
 
     def enroll(self, request: Request) -> Response:
-        """Gives a person a link of their own."""
+        """Gives a person their link."""
         self._check(request, JOIN)
+        ids = self._ids(request)
         try:
-            token = self._conversations.enroll(request.state.form)
+            token = self._conversations.enroll(request.state.form, ids)
         except RefusedError as error:
             return self._consent(error.status, str(error))
         return self._to(token)
@@ -159,7 +165,8 @@ class _Pages:
         if not sessions:  # forgotten by now
             raise HTTPException(HTTPStatus.NOT_FOUND)
         if (session := current(sessions)) is None:
-            return self._html("done", status, problem=problem)
+            code, url = self._study.terms.completion_code, self._study.terms.completion_url
+            return self._html("done", status, problem=problem, code=code, url=url)
         # A text that was refused is kept, one of an earlier conversation is not.
         given = form if form.get("session") == str(session.position) else {}
         return self._html(
@@ -230,6 +237,10 @@ class _Pages:
             return self.message(status, "There is no page here. Please check your link.")
         return self.message(status, "This cannot be done here. Please open your link again.")
 
+    def refused(self, request: Request, error: RefusedError) -> Response:
+        """The page of a link that cannot be used."""
+        return self.message(error.status, str(error))
+
     def not_stored(self, request: Request, error: StoreError) -> Response:
         """The page where the study's file cannot be used."""
         _log.error("%s", error)
@@ -244,6 +255,10 @@ class _Pages:
         if not hmac.compare_digest(given, self._store.key(purpose).encode()):
             raise HTTPException(HTTPStatus.NOT_FOUND)
 
+    def _ids(self, request: Request) -> dict[str, str]:
+        """Returns the ids in a join link."""
+        return ids_of(self._study.terms.join_parameters, request.query_params.getlist)
+
     def _consent(self, status: HTTPStatus, problem: str) -> Response:
         terms = self._study.terms
         paragraphs = [text.strip() for text in terms.consent.split("\n\n") if text.strip()]
@@ -254,6 +269,7 @@ class _Pages:
             paragraphs=paragraphs,
             sessions=terms.sessions,
             retention=terms.retention,
+            parameters=terms.join_parameters,
             nonce=_new_nonce(),
         )
 

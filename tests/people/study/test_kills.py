@@ -81,6 +81,5 @@ def test_a_served_study_ends_when_it_is_told_to(tmp_path):
     server.process.send_signal(signal.SIGTERM)
     _, errors = server.process.communicate(timeout=60)
     *loading, last = errors.splitlines()
-    agents = "secret-bbqn, secret-dqn"
-    assert loading == [f"reading {server.file} ...", f"loading the agents {agents} ..."]
+    assert loading == ["loading the agents secret-bbqn, secret-dqn ..."]
     assert last == "interrupted while serving: the same command continues the study"

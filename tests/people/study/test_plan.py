@@ -101,6 +101,23 @@ def test_an_agent_may_be_more_cautious_than_another_of_the_same_run(write):
             {"url": "https://lab.example/static/"},
             "url must have another path than the study's pages (/join, /p, /r, /static), got 'ht",
         ),
+        *(
+            ({"join_parameters": value}, "join_parameters must be a list of distinct names of pa")
+            for value in ("PROLIFIC_PID", "[a, a]", "[1]", "['a b']", "['']", "{a: b}", "[yes]")
+        ),
+        *(
+            (
+                {"completion_url": f"'{url}'"},
+                "completion_url must be a link that begins with https://, without spaces, got "
+                f"'{url}'",
+            )
+            for url in (
+                *("http://pay.example/", "javascript:alert(1)", "https://", "pay.example"),
+                *("https://pay.example/a b", "https:///x", "data:text/html,x"),
+            )
+        ),
+        ({"completion_code": "123"}, "completion_code must be text of at most 200 characters"),
+        ({"completion_code": "x" * 201}, "completion_code must be text of at most 200 characters"),
         ({"goals": "[0]"}, "goals must be attainable or a list of numbers between 1 and"),
         ({"goals": "[1, 1]"}, "goals must be distinct and at least as many as sessions (2)"),
         ({"domain": "nowhere"}, "domain must be movie or a domain's folder: "),
