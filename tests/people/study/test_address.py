@@ -124,7 +124,7 @@ def test_a_person_and_the_researcher_go_all_their_ways_behind_a_prefix(study, st
         for file in re.findall(r'(?:href|src)="([^"]*)"', page):
             assert get(file)
         progress = get(f"/study{site.researcher}")
-        assert "The person&#39;s goal" in get(re.search(r'<a href="([^"]*)"', progress)[1])
+        assert "The person's goal" in get(re.search(r'<a href="([^"]*)"', progress)[1])
 
 
 @pytest.mark.parametrize("url", ["", URL])
