@@ -1,4 +1,4 @@
-"""``bbq study``: serve a study, report on it, or compute its power."""
+"""``bbq study``: serve, simulate and report a study, keep its data, compute its power."""
 
 from __future__ import annotations
 
@@ -207,17 +207,18 @@ def _simulate(given: argparse.Namespace) -> None:
 
 
 def _simulated(path: Path) -> Path:
-    """Returns the name under which the simulation of a study is kept."""
+    """Returns the name of a study's simulation."""
     return path.with_name(f"{path.stem}-simulated{path.suffix}")
 
 
 def _function(option: str, name: str) -> Callable[..., Any]:
     module, _, function = name.partition(":")
     try:
-        return getattr(importlib.import_module(module), function)
+        found: Callable[..., Any] = getattr(importlib.import_module(module), function)
     except (ImportError, AttributeError, ValueError) as error:
         text = f"it must be module:function that can be imported, got {shown(name)}: {error}"
         raise StudyError(option, [text]) from error
+    return found
 
 
 def _report(given: argparse.Namespace) -> None:

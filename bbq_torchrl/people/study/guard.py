@@ -84,7 +84,7 @@ class Guard:
                 self._check_origin(request)
                 scope.setdefault("state", {})["form"] = await _form(request)
             except ClientDisconnect:
-                return  # half a form is none, and nobody reads an answer
+                return  # half a form: nobody reads an answer
             except RefusedError as error:
                 app = self._page(error.status, str(error))
                 app.headers["connection"] = "close"

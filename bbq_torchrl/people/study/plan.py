@@ -134,7 +134,7 @@ class Study:
 
 
 def data_of(path: Path) -> Path:
-    """Returns the file that holds the data of the study file ``path``, beside it."""
+    """Returns the file that holds the data of the study file ``path``, in the same folder."""
     return path.with_suffix(".sqlite")
 
 

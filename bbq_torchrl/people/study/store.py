@@ -14,16 +14,16 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 import bbq_torchrl
-from bbq_torchrl.people.study.database import StoreError, told, writing
+from bbq_torchrl.people.study.database import StoreError, as_store_errors, writing
 from bbq_torchrl.people.study.design import assignments
 from bbq_torchrl.people.study.plan import MAY_CHANGE, Terms
 from bbq_torchrl.people.study.records import (
     EXCHANGES,
-    HELD,
     IS_FINISHED,
     NOT_FORGOTTEN,
     SCALES,
     SESSIONS,
+    TAKEN,
     Session,
     StoredExchange,
     act_content,
@@ -90,7 +90,7 @@ class Store:
         simulated: bool,
         secret: str | None,
     ) -> str:
-        """Returns the study's secret; makes the study where there is none yet."""
+        """Returns the study's secret; creates the study if it is new."""
         package = bbq_torchrl.__version__
         found = connection.execute("SELECT terms, package, secret, simulated FROM study").fetchone()
         if found is None:
@@ -132,7 +132,7 @@ class Store:
         Raises:
             StoreError: it could not be written.
         """
-        with self._mutex, told(self._path):
+        with self._mutex, as_store_errors(self._path):
             self._connection.execute("BEGIN IMMEDIATE")
             try:
                 yield self._connection
@@ -144,7 +144,7 @@ class Store:
 
     def rows(self, query: str, *values: object) -> list[tuple[Any, ...]]:
         """Returns the rows of a query."""
-        with self._mutex, told(self._path):
+        with self._mutex, as_store_errors(self._path):
             return self._connection.execute(query, values).fetchall()
 
     def close(self) -> None:
@@ -176,8 +176,8 @@ class Store:
             if connection.execute(known, (hashed(token),)).fetchone():
                 return token
             since = self._idle_since(now), now - SILENT_SECONDS
-            held = {place for (place,) in connection.execute(HELD, since)}
-            free = (place for place in range(self._terms.participants) if place not in held)
+            taken = {place for (place,) in connection.execute(TAKEN, since)}
+            free = (place for place in range(self._terms.participants) if place not in taken)
             if (place := next(free, None)) is None:
                 return None
             # Up to now: after a clock was set back, nobody is of the last minute.
@@ -234,7 +234,7 @@ class Store:
             text: the person's.
             reply: the agent's.
             end: who or what ended the conversation, and why it was no success; ``None`` if it
-                goes on.
+                continues.
         """
         beliefs = None if reply.beliefs is None else json.dumps(asdict(reply.beliefs))
         with self._step(session) as (connection, now):

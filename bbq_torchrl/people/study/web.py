@@ -127,7 +127,7 @@ class _Pages:
         return self._page(self._token(request))
 
     def step(self, request: Request) -> Response:
-        """Takes a step, then shows what comes next; a refused one keeps what was given."""
+        """Takes a step and shows the next page; a refused form keeps its content."""
         token, form = self._token(request), request.state.form
         take = self._steps.get(request.path_params["step"])
         if take is None:
@@ -209,7 +209,7 @@ class _Pages:
         )
 
     def transcript(self, request: Request) -> Response:
-        """A session turn by turn, with what the agent thought."""
+        """Shows a session turn by turn, with the agent's beliefs."""
         self._check(request, RESEARCHER)
         number = request.path_params["session"]
         session = self._store.session(int(number)) if _ID.fullmatch(number) else None
@@ -227,22 +227,22 @@ class _Pages:
     # -- what all pages share ----------------------------------------------------------------------
 
     def message(self, status: HTTPStatus, text: str) -> Response:
-        """A page that says one thing."""
+        """Returns a page with one sentence."""
         return self._html("message", status, text=text)
 
     def no_page(self, request: Request, error: HTTPException) -> Response:
-        """One page for a link that is wrong, guessed or of something else."""
+        """Returns the same page for any link that is wrong or guessed."""
         status = HTTPStatus(error.status_code)
         if status == HTTPStatus.NOT_FOUND:
             return self.message(status, "There is no page here. Please check your link.")
         return self.message(status, "This cannot be done here. Please open your link again.")
 
     def refused(self, request: Request, error: RefusedError) -> Response:
-        """The page of a link that cannot be used."""
+        """Returns the page for a join link that cannot be used."""
         return self.message(error.status, str(error))
 
     def not_stored(self, request: Request, error: StoreError) -> Response:
-        """The page where the study's file cannot be used."""
+        """Returns the page for a study file that cannot be used."""
         _log.error("%s", error)
         text = "The study cannot be reached just now. Please try again in a minute."
         return self.message(HTTPStatus.SERVICE_UNAVAILABLE, text)

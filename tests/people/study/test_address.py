@@ -179,3 +179,11 @@ def test_a_host_that_is_not_this_machine_is_a_sentence(host, capsys):
 def test_who_connects_while_the_agents_load_waits_and_is_served():
     with closing(listen("127.0.0.1", port := free_port())):
         socket.create_connection(("127.0.0.1", port), timeout=5).close()
+
+
+def test_a_proxy_that_names_the_port_of_https_is_the_same_site(study):
+    with published(study, "", base_url="http://127.0.0.1:8000") as site:
+        form, names = site.form(site.join, consent="yes"), {"host": "x:443", "origin": "https://x"}
+        answer = site.client.post(site.join, data=form, headers=names, follow_redirects=False)
+        assert answer.status_code == 303
+        assert answer.headers["location"].startswith("/p/")
