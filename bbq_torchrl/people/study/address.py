@@ -124,7 +124,7 @@ def listen(host: str, port: int) -> socket.socket:
         return socket.create_server((host, port), family=family)
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
-            text = f"--port {port} is in use at {host}: end what listens there, or name another"
+            text = f"--port {port} is in use at {host or 'all addresses'}: end what listens there, or name another"
         elif error.errno == errno.EACCES:
             text = f"--port {port} needs rights that you lack: name one from 1024"
         else:
