@@ -1,4 +1,4 @@
-"""``bbq study``: serve a study, report on it, or compute its power."""
+"""``bbq study``: serve, simulate and report a study, keep its data, compute its power."""
 
 from __future__ import annotations
 
@@ -9,12 +9,13 @@ if __name__ == "__main__":  # before anything that takes time to import
 
 import importlib
 import sys
-from contextlib import closing
+from contextlib import closing, suppress
 from dataclasses import replace
 from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bbq_torchrl.people.study.address import Address, is_everywhere, listen
 from bbq_torchrl.people.study.plan import StudyError, data_of, load_study
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.extras import needed
@@ -23,7 +24,11 @@ from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     import argparse
+    import socket
     from collections.abc import Callable, Sequence
+
+    from bbq_torchrl.people.dialogue.talk import Talker
+    from bbq_torchrl.people.study.plan import Study
 
 TALKER = "bbq_torchrl.people.study.agents:make_talker"
 USERS = "bbq_torchrl.people.study.users:make_users"
@@ -46,7 +51,7 @@ def _parser() -> argparse.ArgumentParser:
         description=f"A human study.\nSee {page('study')}",
     )
     commands = parser.add_subparsers(
-        required=True, metavar="serve | simulate | report | backup | forget | power"
+        required=True, metavar="serve | simulate | report | participants | backup | forget | power"
     )
 
     serve = commands.add_parser("serve", help="serve a study to browsers")
@@ -91,6 +96,15 @@ def _parser() -> argparse.ArgumentParser:
     report.add_argument("--out", type=_path, help="folder; without it, <study>-report")
     report.set_defaults(command=_report)
 
+    participants = commands.add_parser(
+        "participants", help="write who takes part, by the ids of the join link, to pay them"
+    )
+    participants.add_argument("study", type=_path, help="the study file")
+    participants.add_argument(
+        "--out", type=_path, help="file; without it, <study>-participants.csv"
+    )
+    participants.set_defaults(command=_participants)
+
     backup = commands.add_parser("backup", help="copy the data, also while the study is served")
     backup.add_argument("study", type=_path, help="the study file")
     backup.add_argument("copy", type=_path, help="the copy, a file that does not exist")
@@ -129,24 +143,40 @@ def _path(text: str) -> Path:
 def _serve(given: argparse.Namespace) -> None:
     for library in ("starlette", "jinja2", "uvicorn"):
         needed(library, library, "study")
-    make = _function("--talker", given.talker)
-    study = load_study(given.study)
+    with listen(given.host, given.port) as listener:  # before anything that takes time
+        make = _function("--talker", given.talker)
+        study = load_study(given.study)
+        output.print_error(f"loading the agents {', '.join(study.terms.agents)} ...")
+        talker = make(study)
+        interruption.tell(lambda: "while serving", lambda: "the same command continues the study")
+        if is_everywhere(given.host) and not study.terms.url:
+            output.print_error(
+                f"the links are for this machine; for people elsewhere set url in {given.study}"
+            )
+        _run(study, talker, listener, Address.local(given.host, given.port))
+
+
+def _run(study: Study, talker: Talker, listener: socket.socket, local: Address) -> None:
+    """Serves a study until it is told to end.
+
+    Args:
+        study: what is asked of people.
+        talker: the agents.
+        listener: a socket that listens.
+        local: its address, used where the study names none.
+    """
     import uvicorn
 
     from bbq_torchrl.people.study.store import Store
     from bbq_torchrl.people.study.web import JOIN, RESEARCHER, application
 
-    talker = make(study)
-    interruption.tell(lambda: "while serving", lambda: "the same command continues the study")
     prints = {agent: talker.fingerprint(agent) for agent in study.terms.agents}
     with closing(Store(study.data, study.terms, prints)) as store:
-        site = f"http://{given.host}:{given.port}"
-        _say(f"for people: {site}/join/{store.key(JOIN)}")
-        _say(f"for you: {site}/r/{store.key(RESEARCHER)}")
-        uvicorn.run(
+        address = Address.of(study.terms.url) if study.terms.url else local
+        _say(f"for people: {address.link(f'/join/{store.key(JOIN)}')}")
+        _say(f"for you: {address.link(f'/r/{store.key(RESEARCHER)}')}")
+        config = uvicorn.Config(
             application(study, store, talker),
-            host=given.host,
-            port=given.port,
             # The links are secrets, so they are in no log.
             access_log=False,
             log_level="warning",
@@ -157,6 +187,8 @@ def _serve(given: argparse.Namespace) -> None:
             timeout_keep_alive=120,
             timeout_graceful_shutdown=10,
         )
+        with suppress(KeyboardInterrupt):
+            uvicorn.Server(config).run(sockets=[listener])
 
 
 def _simulate(given: argparse.Namespace) -> None:
@@ -174,17 +206,18 @@ def _simulate(given: argparse.Namespace) -> None:
 
 
 def _simulated(path: Path) -> Path:
-    """Returns the name under which the simulation of a study is kept."""
+    """Returns the name of a study's simulation."""
     return path.with_name(f"{path.stem}-simulated{path.suffix}")
 
 
 def _function(option: str, name: str) -> Callable[..., Any]:
     module, _, function = name.partition(":")
     try:
-        return getattr(importlib.import_module(module), function)
+        found: Callable[..., Any] = getattr(importlib.import_module(module), function)
     except (ImportError, AttributeError, ValueError) as error:
         text = f"it must be module:function that can be imported, got {shown(name)}: {error}"
         raise StudyError(option, [text]) from error
+    return found
 
 
 def _report(given: argparse.Namespace) -> None:
@@ -199,6 +232,18 @@ def _report(given: argparse.Namespace) -> None:
     folder = given.out or given.study.with_name(f"{given.study.stem}-report")
     write_report(folder, results)
     _say(f"{len(results.sessions)} ended sessions: {folder / 'report.md'}")
+
+
+def _participants(given: argparse.Namespace) -> None:
+    from bbq_torchrl.people.study.export import export_participants
+
+    file = given.out or given.study.with_name(f"{given.study.stem}-participants.csv")
+    if file.suffix != ".csv":  # the study's data, say
+        raise StudyError(
+            "--out", [f"it must be a file that ends with .csv, got {shown(str(file))}"]
+        )
+    people = export_participants(file, data_of(given.study))
+    _say(f"{people} people: {file}; it tells who is who in the report, so keep them apart")
 
 
 def _backup(given: argparse.Namespace) -> None:

@@ -17,8 +17,11 @@ from bbq_torchrl.people.language.cache import cached_understander, language_key
 from bbq_torchrl.people.language.phrases import GENERIC, has_own_phrases
 from bbq_torchrl.people.study import Reply, StudyError
 from bbq_torchrl.runs.shipped import run_folder
+from bbq_torchrl.utils.output import print_error
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from bbq_torchrl.people.study import Study
 
 _log = logging.getLogger(__name__)
@@ -31,6 +34,7 @@ class AgentTalker:
 
     Args:
         study: whose agents; a run folder is looked for from the study file's folder on.
+        tell: is told when the language of the domain is learned.
 
     Attributes:
         domain: the study's, in the spelling that all acts have.
@@ -41,8 +45,9 @@ class AgentTalker:
         ModuleNotFoundError: the extra ``language`` is not installed.
     """
 
-    def __init__(self, study: Study) -> None:
-        nlu, nlg = cached_understander(study.domain), Generator(study.domain)
+    def __init__(self, study: Study, tell: Callable[[str], None] = lambda _: None) -> None:
+        nlu = cached_understander(study.domain, None, tell)
+        nlg = Generator(study.domain)
         self._language = language_key(study.domain)
         if not has_own_phrases(study.domain):
             _log.warning("the domain %s %s", study.domain.name, GENERIC)
@@ -95,6 +100,6 @@ class AgentTalker:
 
 
 def make_talker(study: Study) -> AgentTalker:
-    """Returns the agents of a study with the own language layer, on one thread of torch."""
+    """Returns the agents of a study with this package's language layer, on one thread of torch."""
     torch.set_num_threads(1)
-    return AgentTalker(study)
+    return AgentTalker(study, tell=print_error)

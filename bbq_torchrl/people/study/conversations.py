@@ -15,7 +15,7 @@ from bbq_torchrl.people.study.store import JoinRateError
 from bbq_torchrl.people.typed import TextError, clean
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from bbq_torchrl.domains import Goal
     from bbq_torchrl.domains.frames import Frame
@@ -25,6 +25,8 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.study.store import Store
 
 _NONCE = re.compile(r"[A-Za-z0-9_-]{20,40}", re.ASCII)
+_ID = re.compile(r"[A-Za-z0-9_][\w.:@+=~-]{0,127}", re.ASCII)
+"""An id of the join link: no formula of a spreadsheet, no placeholder that nobody filled in."""
 _LOCKS = 64
 
 
@@ -55,8 +57,12 @@ class Conversations:
         self._judge = Judge(talker.domain)
         self._locks = [threading.Lock() for _ in range(_LOCKS)]
 
-    def enroll(self, form: Mapping[str, str]) -> str:
+    def enroll(self, form: Mapping[str, str], ids: Mapping[str, str] | None = None) -> str:
         """Returns the token of somebody who takes part from now on.
+
+        Args:
+            form: the consent form.
+            ids: of :func:`ids_of`; the same person gets the same token.
 
         Raises:
             RefusedError: without consent, when nobody is wanted any more, or too many at once.
@@ -67,7 +73,7 @@ class Conversations:
                 HTTPStatus.UNPROCESSABLE_ENTITY, "To take part, please tick the box first."
             )
         try:
-            token = self._store.enroll(nonce)
+            token = self._store.enroll(nonce, ids)
         except JoinRateError as error:
             raise RefusedError(
                 HTTPStatus.TOO_MANY_REQUESTS,
@@ -165,6 +171,35 @@ class Conversations:
 
     def _goal(self, session: Session) -> Goal:
         return self._talker.domain.goals[session.goal - 1]
+
+
+def ids_of(names: Sequence[str], values: Callable[[str], Sequence[str]]) -> dict[str, str]:
+    """Returns the parameters of a join link that are stored with a person, by name.
+
+    Args:
+        names: of the parameters; the first one is required.
+        values: returns the values that the link has for a name.
+
+    Raises:
+        RefusedError: the first is missing, or one of them is twice in the link, or no id.
+    """
+    found = {}
+    for name in names:
+        given = [value for value in values(name) if value]
+        if len(given) == 1 and _ID.fullmatch(given[0]):
+            found[name] = given[0]
+        elif given or name == names[0]:
+            problem = (
+                "is missing"
+                if not given
+                else "comes more than once"
+                if len(given) > 1
+                else "is no id of up to 128 letters, digits and . : @ + = ~ _ -"
+            )
+            text = "Please open the study once more from where you were invited."
+            status = HTTPStatus.BAD_REQUEST
+            raise RefusedError(status, f"In the link to this page {name} {problem}. {text}")
+    return found
 
 
 def _message(form: Mapping[str, str]) -> str:

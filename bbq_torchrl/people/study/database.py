@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterator
     from pathlib import Path
 
-_VERSION = 1
-_SCHEMA = """
+_SCHEMAS = (
+    """
 CREATE TABLE study (
     id INTEGER PRIMARY KEY CHECK (id = 1),
     terms TEXT NOT NULL,
@@ -73,9 +73,21 @@ CREATE TABLE rating (
     completion INTEGER NOT NULL CHECK (completion BETWEEN 1 AND 5),
     verdict INTEGER NOT NULL CHECK (verdict IN (0, 1))
 ) STRICT;
-"""
+""",
+    """
+CREATE TABLE recruited (
+    person INTEGER PRIMARY KEY REFERENCES person,
+    participant TEXT NOT NULL UNIQUE,
+    ids TEXT NOT NULL
+) STRICT;
+""",
+)
+"""Of each version, what it adds to those before."""
+_VERSION = len(_SCHEMAS)
+_MISSING = "CREATE TEMP TABLE recruited (person INTEGER, participant TEXT, ids TEXT)"
+"""Stands in for the table where a file of version 1 is read, or people are deleted from it."""
 
-BESIDE = ("-wal", "-shm", "-journal")
+SIDE_FILES = ("-wal", "-shm", "-journal")
 """Endings of the files that SQLite keeps next to a study's."""
 
 PRIVATE = 0o600
@@ -101,10 +113,10 @@ class StoreError(StudyError):
 
 @contextmanager
 def writing(path: Path) -> Iterator[sqlite3.Connection]:
-    """Opens a study's file for one server alone; makes it where it is missing.
+    """Opens a study's file for one server, and creates or extends it where needed.
 
     Raises:
-        StoreError: the file is another server's now, newer, damaged, read-only, or no such file.
+        StoreError: another server uses the file, or it is newer, damaged, read-only or foreign.
     """
     if sqlite3.sqlite_version_info < _SQLITE:
         raise StoreError(path, f"it needs SQLite 3.37 or newer, this is {sqlite3.sqlite_version}")
@@ -117,12 +129,12 @@ def writing(path: Path) -> Iterator[sqlite3.Connection]:
         raise StoreError(path, text) from error
     except OSError as error:
         raise StoreError(path, f"it cannot be used: {error.strerror}") from error
-    with lock, told(path), closing(_private(path)) as connection:
+    with lock, as_store_errors(path), closing(_private(path)) as connection:
         version = _check(path, connection)
         for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
             connection.execute(f"PRAGMA {pragma}")
-        # Written anew also where it is: a file system that lets nothing be written says so now.
-        script = "" if version else _SCHEMA
+        # Written even if unchanged: a read-only file system is found out now.
+        script = "".join(_SCHEMAS[version:])
         connection.executescript(
             f"BEGIN IMMEDIATE; {script} PRAGMA user_version = {_VERSION}; COMMIT;"
         )
@@ -159,13 +171,16 @@ def _existing(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
         raise StoreError(path, "there is no such file: the study has not been served yet")
     address = f"{path.absolute().as_uri()}?mode={mode}"
     with (
-        told(path),
+        as_store_errors(path),
         closing(
             sqlite3.connect(address, timeout=BUSY_SECONDS, uri=True, isolation_level=None)
         ) as connection,
     ):
-        if not _check(path, connection):
+        version = _check(path, connection)
+        if not version:
             raise StoreError(path, "it is empty: the study has not been served yet")
+        if version < _VERSION:  # only a server changes it: an older one may be at work on it
+            connection.execute(_MISSING)
         yield connection
 
 
@@ -175,7 +190,7 @@ def _private(path: Path) -> sqlite3.Connection:
 
 
 def make_private(path: Path) -> None:
-    """Makes a file that its owner alone can read; one that exists becomes so, and those beside it.
+    """Makes a file private to its owner, or one that exists and its side files.
 
     Raises:
         StoreError: it cannot be made there, or its mode is not ours to change.
@@ -183,7 +198,7 @@ def make_private(path: Path) -> None:
     try:
         if not path.exists():
             os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, PRIVATE))
-        for file in (path, *(path.with_name(path.name + end) for end in BESIDE)):
+        for file in (path, *(path.with_name(path.name + end) for end in SIDE_FILES)):
             if file.exists() and file.stat().st_mode & 0o077:
                 file.chmod(PRIVATE)
     except OSError as error:
@@ -210,8 +225,8 @@ def _check(path: Path, connection: sqlite3.Connection) -> int:
 
 
 @contextmanager
-def told(path: Path) -> Iterator[None]:
-    """Turns what SQLite says into a sentence."""
+def as_store_errors(path: Path) -> Iterator[None]:
+    """Turns errors of SQLite into sentences."""
     try:
         yield
     except sqlite3.Error as error:

@@ -31,7 +31,7 @@ def assignments(
 ) -> list[tuple[str, int]]:
     """Returns agent and goal of each session of the person in a place of the design.
 
-    Places run through blocks; a block has every Williams row once, in an order of its own. With
+    Places run through blocks; a block has every Williams row once, in random order. With
     more sessions than agents, rows follow each other. No goal comes twice.
 
     Args:

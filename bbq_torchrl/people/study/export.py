@@ -7,10 +7,19 @@ import io
 import json
 import re
 from dataclasses import asdict
+from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.people.study.database import PRIVATE
-from bbq_torchrl.people.study.records import SCALES, act_content, act_text
+from bbq_torchrl.people.study.database import PRIVATE, reading
+from bbq_torchrl.people.study.plan import Terms
+from bbq_torchrl.people.study.records import (
+    IS_FINISHED,
+    NOT_FORGOTTEN,
+    SCALES,
+    act_content,
+    act_text,
+)
+from bbq_torchrl.people.study.results import report_names
 from bbq_torchrl.utils.files import write_text
 
 if TYPE_CHECKING:
@@ -64,6 +73,59 @@ def export(folder: Path, results: Results) -> None:
     columns_said = (*said, "entropy", "simulated")
     write_text(folder / "exchanges.csv", _csv(columns_said, _exchange_rows(results)), PRIVATE)
     write_text(folder / "sessions.jsonl", "".join(_lines(results)), PRIVATE)
+
+
+_PARTICIPANTS = f"""
+    SELECT person.id, token, ids, enrolled, active,
+           (SELECT COUNT(*) FROM session JOIN rating ON rating.session = session.id
+            WHERE session.person = person.id),
+           {IS_FINISHED}
+    FROM person LEFT JOIN recruited ON recruited.person = person.id
+    {NOT_FORGOTTEN} ORDER BY person.id
+"""
+
+
+def export_participants(file: Path, data: Path) -> int:
+    """Writes who takes part, by the ids of the join link, and how far they are: to pay them.
+
+    It tells who is behind the names of a report, so it is a file apart from it.
+
+    Args:
+        file: the CSV file.
+        data: the study's SQLite file.
+
+    Returns:
+        How many people it has.
+
+    Raises:
+        StoreError: the study's file cannot be read.
+    """
+    with reading(data) as connection:
+        [terms] = connection.execute("SELECT terms FROM study").fetchone()
+        people = connection.execute(_PARTICIPANTS).fetchall()
+    names = report_names([(number, token) for number, token, *_ in people])
+    ids = [json.loads(stored or "{}") for _, _, stored, *_ in people]
+    # The study file may have named others before.
+    parameters = dict.fromkeys(
+        [*Terms.of(terms).join_parameters, *(key for one in ids for key in one)]
+    )
+    rows = [
+        (
+            *(number, names[str(number)]),
+            *(found.get(name, "") for name in parameters),
+            *(_utc(enrolled), _utc(active), rated, finished),
+        )
+        for found, (number, _, _, enrolled, active, rated, finished) in zip(
+            ids, people, strict=True
+        )
+    ]
+    head = ("person", "name_in_report", *parameters, "joined", "last_active", "rated", "finished")
+    write_text(file, _csv(head, rows), PRIVATE)
+    return len(rows)
+
+
+def _utc(seconds: float) -> str:
+    return datetime.fromtimestamp(seconds, timezone.utc).isoformat(timespec="seconds")
 
 
 def without_names(text: str) -> str:

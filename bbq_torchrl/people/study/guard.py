@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import logging
 from http import HTTPStatus
 from typing import TYPE_CHECKING
 from urllib.parse import parse_qsl
@@ -11,12 +12,15 @@ from starlette.datastructures import MutableHeaders
 from starlette.requests import ClientDisconnect, Request
 
 from bbq_torchrl.people.study.conversations import RefusedError
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from starlette.responses import Response
     from starlette.types import ASGIApp, Message, Receive, Scope, Send
+
+    from bbq_torchrl.people.study.address import Address
 
 MAX_BODY = 16_384
 """Bytes of a form; a message of the longest text in the widest letters has fewer."""
@@ -38,18 +42,26 @@ HEADERS = {
 }
 
 
+_log = logging.getLogger(__name__)
+
+
 class Guard:
     """Refuses forms that are foreign, too large, too slow or unreadable; sets the headers.
 
-    The fields of a form are in ``request.state.form``.
+    The fields of a form are in ``request.state.form``. Pages are served with and without the
+    prefix of the study's address, and with and without a slash at the end.
 
     Args:
-        app: what answers.
-        page: makes the page that tells a status and a sentence.
+        app: the application that answers.
+        page: makes a page of a status and a sentence.
+        address: the study's.
     """
 
-    def __init__(self, app: ASGIApp, page: Callable[[HTTPStatus, str], Response]) -> None:
-        self._app, self._page = app, page
+    def __init__(
+        self, app: ASGIApp, page: Callable[[HTTPStatus, str], Response], address: Address
+    ) -> None:
+        self._app, self._page, self._address = app, page, address
+        self._has_warned = False
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         """Answers a request."""
@@ -64,16 +76,37 @@ class Guard:
                     headers.setdefault(name, value)
             await send(message)
 
+        scope = {**scope, "path": self._address.inner(scope["path"])}
         app: ASGIApp = self._app
         if scope["method"] not in ("GET", "HEAD"):
             try:
-                scope.setdefault("state", {})["form"] = await _form(Request(scope, receive))
+                request = Request(scope, receive)
+                self._check_origin(request)
+                scope.setdefault("state", {})["form"] = await _form(request)
             except ClientDisconnect:
-                return  # half a form is none, and nobody reads an answer
+                return  # half a form: nobody reads an answer
             except RefusedError as error:
                 app = self._page(error.status, str(error))
                 app.headers["connection"] = "close"
         await app(scope, receive, send_with_headers)
+
+    def _check_origin(self, request: Request) -> None:
+        """Refuses a form of another site.
+
+        Raises:
+            RefusedError: it is one.
+        """
+        origin, host = request.headers.get("origin"), request.headers.get("host")
+        if origin is None or self._address.is_own(origin, host):
+            return
+        if not self._has_warned:  # once: anybody can send such forms
+            _log.warning(
+                "a form from %s was refused, since this server is called %s; if people reach the "
+                "study by the former, set url in the study file (told once)",
+                *(shown(origin), shown(host)),
+            )
+            self._has_warned = True
+        raise RefusedError(HTTPStatus.FORBIDDEN, "This form was sent from another site.")
 
 
 async def _form(request: Request) -> dict[str, str]:
@@ -83,9 +116,6 @@ async def _form(request: Request) -> dict[str, str]:
         ClientDisconnect: it has not arrived.
         RefusedError: it is not one to read.
     """
-    origin = request.headers.get("origin")
-    if origin is not None and origin.partition("://")[2] != request.headers.get("host"):
-        raise RefusedError(HTTPStatus.FORBIDDEN, "This form was sent from another site.")
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind != "application/x-www-form-urlencoded":
         raise RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "A form was expected.")

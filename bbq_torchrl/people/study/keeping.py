@@ -9,12 +9,12 @@ from contextlib import closing
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.people.study.database import (
-    BESIDE,
+    SIDE_FILES,
     StoreError,
+    as_store_errors,
     changing,
     make_private,
     reading,
-    told,
 )
 from bbq_torchrl.people.study.plan import StudyError
 from bbq_torchrl.people.study.store import hashed
@@ -37,7 +37,7 @@ def backup(data: Path, target: Path) -> None:
     Raises:
         StoreError: the file cannot be read, or the copy cannot be made there.
     """
-    kept = [data, *(data.with_name(data.name + end) for end in (*BESIDE, ".lock"))]
+    kept = [data, *(data.with_name(data.name + end) for end in (*SIDE_FILES, ".lock"))]
     if target.resolve() in [path.resolve() for path in kept]:
         raise StoreError(target, "it is of the living study: name another file for the copy")
     if target.exists() or target.is_symlink():
@@ -48,16 +48,20 @@ def backup(data: Path, target: Path) -> None:
     temporary.unlink(missing_ok=True)  # what a killed process left
     try:
         make_private(temporary)
-        with reading(data) as connection, told(target), closing(sqlite3.connect(temporary)) as copy:
+        with (
+            reading(data) as connection,
+            as_store_errors(target),
+            closing(sqlite3.connect(temporary)) as copy,
+        ):
             connection.backup(copy)
-            copy.execute("PRAGMA journal_mode = DELETE")  # one file, with nothing beside it
+            copy.execute("PRAGMA journal_mode = DELETE")  # one file, without side files
         os.replace(temporary, target)
     finally:
         temporary.unlink(missing_ok=True)
 
 
 def forget(data: Path, participant: str) -> int:
-    """Deletes all of a person: conversations, ratings, times and link. Their place is free again.
+    """Deletes all of a person: conversations, ratings, times, ids and link; their place is free.
 
     Only their number is kept, so that nobody else gets it. Who is forgotten already may be
     forgotten again.
@@ -88,6 +92,7 @@ def forget(data: Path, participant: str) -> int:
             f"DELETE FROM rating WHERE session IN {sessions}",
             f"DELETE FROM exchange WHERE session IN {sessions}",
             "DELETE FROM session WHERE person = ?",
+            "DELETE FROM recruited WHERE person = ?",
             "UPDATE person SET token = 'forgotten ' || id, place = -1, enrolled = 0, active = 0 "
             "WHERE id = ?",
         ):

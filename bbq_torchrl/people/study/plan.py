@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import asdict, dataclass, field, fields
 from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.people.dialogue import RULE_NAMES
+from bbq_torchrl.people.study.address import ALLOWED, Address
 from bbq_torchrl.utils.files import read_yaml
 from bbq_torchrl.utils.text import FaultsError, shown
 
@@ -27,12 +29,22 @@ _DEFAULTS: dict[str, Any] = {
     "idle_minutes": 60,
     "joins_per_minute": 5,
     "retention": "",
+    "url": "",
+    "join_parameters": [],
+    "completion_code": "",
+    "completion_url": "",
     "ask_below": {},
     "control": {},
 }
 """Without ``sessions``: one with each agent."""
 _QUOTED = "yes, no, numbers and dates in quotes"
 """Since YAML reads them as something else."""
+_RECRUITING = ("join_parameters", "completion_code", "completion_url")
+MAY_CHANGE = ("participants", "joins_per_minute", "url", *_RECRUITING)
+"""Keys that may change after the first person; the others are declared before."""
+_PARAMETER = re.compile(r"[A-Za-z_][\w-]{0,63}", re.ASCII)
+_LONGEST_CODE = 200
+_HTTPS = re.compile(r"https://[\w.-]+(:\d{1,5})?([/?#][!-~]*)?", re.ASCII)
 _REQUIRED = ("name", "consent", "agents", "pairs", "participants")
 
 
@@ -57,6 +69,11 @@ class Terms:
         idle_minutes: after which an unfinished place is given to somebody else.
         joins_per_minute: how many people may join in a minute.
         retention: how long the data are kept, as the consent page says it; empty where it does not.
+        url: where people reach the study; empty for the server's own address.
+        join_parameters: names of parameters of the join link that are stored with a person; the
+            first one tells who it is.
+        completion_code: code that people get at the end; empty for none.
+        completion_url: link that people get at the end; empty for none.
         ask_below: name to the confidence below which this agent asks people again, between 0
             (never) and 1; the others as their language layer does.
         control: name to the rules of the dialogue control that hold for this agent; all rules hold
@@ -75,6 +92,10 @@ class Terms:
     idle_minutes: int
     joins_per_minute: int = _DEFAULTS["joins_per_minute"]
     retention: str = ""
+    url: str = ""
+    join_parameters: tuple[str, ...] = ()
+    completion_code: str = ""
+    completion_url: str = ""
     ask_below: Mapping[str, float] = field(default_factory=dict)
     control: Mapping[str, list[str]] = field(default_factory=dict)
 
@@ -87,7 +108,9 @@ class Terms:
         """Returns the terms that :meth:`text` wrote."""
         content = json.loads(text)
         content["pairs"] = tuple((better, worse) for better, worse in content["pairs"])
-        return cls(**{**content, "goals": tuple(content["goals"])})
+        for key in ("goals", "join_parameters"):
+            content[key] = tuple(content.get(key, ()))
+        return cls(**content)
 
 
 @dataclass(frozen=True)
@@ -111,7 +134,7 @@ class Study:
 
 
 def data_of(path: Path) -> Path:
-    """Returns the file that holds the data of the study file ``path``, beside it."""
+    """Returns the file that holds the data of the study file ``path``, in the same folder."""
     return path.with_suffix(".sqlite")
 
 
@@ -135,6 +158,11 @@ def load_study(path: str | Path) -> Study:
     given.setdefault("sessions", max(1, len(agents)))
     wrong = _wrong_values(given, agents)
     faults = [*_key_faults(content), *wrong.values()]
+    if "url" not in wrong and given["url"]:
+        try:
+            Address.of(given["url"])
+        except ValueError as error:
+            faults.append(f"url must {error}, got {shown(given['url'])}")
     if "sessions" not in wrong and agents and given["sessions"] % len(agents):
         faults.append(
             f"sessions must be a multiple of the number of agents ({len(agents)}), so that "
@@ -161,10 +189,11 @@ def load_study(path: str | Path) -> Study:
         faults += _goal_faults(given["goals"], attainable, len(domain.goals), sessions)
     if faults or domain is None:
         raise StudyError(str(file), faults)
-    for key in ("name", "consent", "retention"):
+    for key in ("name", "consent", "retention", "completion_code"):
         given[key] = given[key].strip()
     given["ask_below"] = {name: float(below) for name, below in given["ask_below"].items()}
-    given |= {"pairs": tuple(map(tuple, given["pairs"])), "goals": tuple(given["goals"])}
+    given |= {key: tuple(given[key]) for key in ("goals", "join_parameters")}
+    given["pairs"] = tuple(map(tuple, given["pairs"]))
     return Study(file, Terms(**given), domain)
 
 
@@ -224,6 +253,20 @@ def _wrong_values(given: Mapping[str, Any], agents: Mapping[str, str]) -> dict[s
             lambda value: isinstance(value, str),
             "be text: until when the data are kept",
         ),
+        "url": (lambda value: isinstance(value, str), f"be {ALLOWED}"),
+        "join_parameters": (
+            _are_parameters,
+            "be a list of distinct names of parameters, such as [PROLIFIC_PID]: letters, digits, "
+            "_ and -",
+        ),
+        "completion_code": (
+            lambda value: isinstance(value, str) and len(value) <= _LONGEST_CODE,
+            f"be text of at most {_LONGEST_CODE} characters (numbers in quotes)",
+        ),
+        "completion_url": (
+            lambda value: value == "" or (isinstance(value, str) and bool(_HTTPS.fullmatch(value))),
+            "be a link that begins with https://, without spaces",
+        ),
     }
     return {
         key: f"{key} must {allowed}, got {shown(given[key])}"
@@ -263,6 +306,14 @@ def _count(most: int) -> tuple[Callable[[Any], bool], str]:
 def _are_sources(value: Any) -> bool:
     is_map = isinstance(value, dict) and value != {}
     return is_map and all(map(_is_text, [*value, *value.values()]))
+
+
+def _are_parameters(value: object) -> bool:
+    return (
+        isinstance(value, list)
+        and all(isinstance(name, str) and _PARAMETER.fullmatch(name) for name in value)
+        and len(set(value)) == len(value) <= 20
+    )
 
 
 def _is_text(value: object) -> bool:

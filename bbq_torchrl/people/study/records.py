@@ -31,8 +31,8 @@ def act_text(frame: Frame) -> str:
         >>> act_text(Frame("request", {"city": "reno"}, ("date",)))
         'request(city=reno, date?)'
     """
-    told = [f"{slot}={value}" for slot, value in frame.informs.items()]
-    return f"{frame.act}({', '.join([*told, *(f'{slot}?' for slot in frame.requests)])})"
+    filled = [f"{slot}={value}" for slot, value in frame.informs.items()]
+    return f"{frame.act}({', '.join([*filled, *(f'{slot}?' for slot in frame.requests)])})"
 
 
 def _read(text: str) -> tuple[Frame, float | None]:
@@ -92,7 +92,7 @@ class Session:
 
     Attributes:
         id: in the file.
-        person: whose it is.
+        person: number of the person.
         position: among the person's sessions, from 1.
         agent: its name.
         goal: number of the goal in the domain, from 1.
@@ -163,7 +163,7 @@ IS_FINISHED = """NOT EXISTS (
 )"""
 """Of the table ``person``: who has rated all their conversations."""
 
-HELD = f"""
+TAKEN = f"""
     SELECT DISTINCT place FROM person
     WHERE active > ? AND (
         enrolled > ?

@@ -145,7 +145,7 @@ def read_results(data: Path) -> Results:
             "SELECT terms, package, simulated FROM study"
         ).fetchone()
         people = connection.execute(f"SELECT id, token FROM person {NOT_FORGOTTEN}").fetchall()
-        names = _names(people)
+        names = report_names(people)
         sessions = [
             Session.of(row) for row in connection.execute(f"{SESSIONS} ORDER BY session.id")
         ]
@@ -165,7 +165,11 @@ def read_results(data: Path) -> Results:
         )
 
 
-def _names(people: Sequence[tuple[int, str]]) -> dict[str, str]:
-    """Returns names in an order that tells nothing of who came when."""
+def report_names(people: Sequence[tuple[int, str]]) -> dict[str, str]:
+    """Returns the names in a report by number of the person; they do not tell who came when.
+
+    Args:
+        people: number and hash of the link of each, the forgotten ones left out.
+    """
     by_chance = sorted(people, key=lambda person: hashlib.sha256(person[1].encode()).digest())
     return {str(person): f"P{number}" for number, (person, _) in enumerate(by_chance, start=1)}

@@ -14,16 +14,16 @@ from dataclasses import asdict, replace
 from typing import TYPE_CHECKING, Any
 
 import bbq_torchrl
-from bbq_torchrl.people.study.database import StoreError, told, writing
+from bbq_torchrl.people.study.database import StoreError, as_store_errors, writing
 from bbq_torchrl.people.study.design import assignments
-from bbq_torchrl.people.study.plan import Terms
+from bbq_torchrl.people.study.plan import MAY_CHANGE, Terms
 from bbq_torchrl.people.study.records import (
     EXCHANGES,
-    HELD,
     IS_FINISHED,
     NOT_FORGOTTEN,
     SCALES,
     SESSIONS,
+    TAKEN,
     Session,
     StoredExchange,
     act_content,
@@ -90,7 +90,7 @@ class Store:
         simulated: bool,
         secret: str | None,
     ) -> str:
-        """Returns the study's secret; makes the study where there is none yet."""
+        """Returns the study's secret; creates the study if it is new."""
         package = bbq_torchrl.__version__
         found = connection.execute("SELECT terms, package, secret, simulated FROM study").fetchone()
         if found is None:
@@ -132,7 +132,7 @@ class Store:
         Raises:
             StoreError: it could not be written.
         """
-        with self._mutex, told(self._path):
+        with self._mutex, as_store_errors(self._path):
             self._connection.execute("BEGIN IMMEDIATE")
             try:
                 yield self._connection
@@ -144,7 +144,7 @@ class Store:
 
     def rows(self, query: str, *values: object) -> list[tuple[Any, ...]]:
         """Returns the rows of a query."""
-        with self._mutex, told(self._path):
+        with self._mutex, as_store_errors(self._path):
             return self._connection.execute(query, values).fetchall()
 
     def close(self) -> None:
@@ -154,24 +154,30 @@ class Store:
 
     # -- people ------------------------------------------------------------------------------------
 
-    def enroll(self, nonce: str) -> str | None:
+    def enroll(self, nonce: str, ids: Mapping[str, str] | None = None) -> str | None:
         """Gives somebody a place in the design. Returns their token, ``None`` where all are taken.
 
         A place is free until somebody has it, and again when they have left it unfinished, after
-        ten minutes if they have said nothing: the lowest goes first. The same nonce gets the same
-        token.
+        ten minutes if they have said nothing: the lowest goes first.
+
+        Args:
+            nonce: of the form; the same one gets the same token.
+            ids: name to value of what the join link says of the person. If there are any, the first
+                value is who it is, and the same one gets the same token.
 
         Raises:
             JoinRateError: more people want to join than may in a minute.
         """
-        token, now = self.key(f"person {nonce}"), self._clock()
+        participant = next(iter(ids.values())) if ids else None
+        token = self.key(f"person {nonce}" if participant is None else f"participant {participant}")
+        now = self._clock()
         with self.transaction() as connection:
             known = "SELECT id FROM person WHERE token = ?"
             if connection.execute(known, (hashed(token),)).fetchone():
                 return token
             since = self._idle_since(now), now - SILENT_SECONDS
-            held = {place for (place,) in connection.execute(HELD, since)}
-            free = (place for place in range(self._terms.participants) if place not in held)
+            taken = {place for (place,) in connection.execute(TAKEN, since)}
+            free = (place for place in range(self._terms.participants) if place not in taken)
             if (place := next(free, None)) is None:
                 return None
             # Up to now: after a clock was set back, nobody is of the last minute.
@@ -183,6 +189,9 @@ class Store:
                 "INSERT INTO person (token, place, enrolled, active) VALUES (?, ?, ?, ?)",
                 (hashed(token), place, now, now),
             ).lastrowid
+            if ids:
+                recruited = (person, participant, json.dumps(ids))
+                connection.execute("INSERT INTO recruited VALUES (?, ?, ?)", recruited)
             terms = self._terms
             plan = assignments(
                 place, tuple(terms.agents), terms.goals, terms.sessions, self._secret
@@ -225,7 +234,7 @@ class Store:
             text: the person's.
             reply: the agent's.
             end: who or what ended the conversation, and why it was no success; ``None`` if it
-                goes on.
+                continues.
         """
         beliefs = None if reply.beliefs is None else json.dumps(asdict(reply.beliefs))
         with self._step(session) as (connection, now):
@@ -325,9 +334,8 @@ def hashed(token: str) -> str:
 
 
 def _changed(old: Terms, new: Terms) -> list[str]:
-    """Returns the differences beyond the numbers of people, which may change."""
-    joins = old.joins_per_minute
-    same = asdict(replace(new, participants=old.participants, joins_per_minute=joins))
+    """Returns the differences beyond the keys that may change."""
+    same = asdict(replace(new, **{key: getattr(old, key) for key in MAY_CHANGE}))
     # As text: the order of the agents counts too.
     return [
         f"the study file says another {key} than at the start"

@@ -58,7 +58,7 @@ class SimulatedUser:
 
     @property
     def satisfied(self) -> bool:
-        """Whether the last offer held all wishes and nothing is unanswered or without a match."""
+        """The last offer had all wishes, and nothing is unanswered or without a match."""
         state, ticket = self._state, self._simulator.domain.ticket
         is_left = state["pending"] | state["agenda"]
         is_left[ticket] = False

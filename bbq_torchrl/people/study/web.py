@@ -18,7 +18,8 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from bbq_torchrl.people.dialogue.judge import card
-from bbq_torchrl.people.study.conversations import Conversations, RefusedError
+from bbq_torchrl.people.study.address import Address
+from bbq_torchrl.people.study.conversations import Conversations, RefusedError, ids_of
 from bbq_torchrl.people.study.database import StoreError
 from bbq_torchrl.people.study.guard import Guard
 from bbq_torchrl.people.study.records import act_text, current
@@ -71,7 +72,8 @@ def application(study: Study, store: Store, talker: Talker) -> Starlette:
         store: where it is stored.
         talker: the agents.
     """
-    pages = _Pages(study, store, talker)
+    address = Address.of(study.terms.url) if study.terms.url else Address()
+    pages = _Pages(study, store, talker, address.prefix)
     # Pages are no coroutines: Starlette makes each in a thread.
     routes = [
         Route("/join/{key}", pages.consent),
@@ -82,16 +84,23 @@ def application(study: Study, store: Store, talker: Talker) -> Starlette:
         Route("/r/{key}/{session}", pages.transcript),
         Mount("/static", StaticFiles(packages=[("bbq_torchrl.people.study", "static")])),
     ]
-    handlers: dict[Any, Any] = {HTTPException: pages.no_page, StoreError: pages.not_stored}
-    guard = Middleware(Guard, page=pages.message)
-    return Starlette(routes=routes, middleware=[guard], exception_handlers=handlers)
+    handlers: dict[Any, Any] = {
+        HTTPException: pages.no_page,
+        StoreError: pages.not_stored,
+        RefusedError: pages.refused,
+    }
+    guard = Middleware(Guard, page=pages.message, address=address)
+    app = Starlette(routes=routes, middleware=[guard], exception_handlers=handlers)
+    app.router.redirect_slashes = False  # its redirects know neither prefix nor HTTPS
+    return app
 
 
 class _Pages:
     """The pages, each a function from request to response."""
 
-    def __init__(self, study: Study, store: Store, talker: Talker) -> None:
+    def __init__(self, study: Study, store: Store, talker: Talker, prefix: str) -> None:
         self._study, self._store, self._talker = study, store, talker
+        self._prefix = prefix
         self._conversations = Conversations(study, store, talker)
         self._steps = {name: getattr(self._conversations, name) for name in ("say", "end", "rate")}
 
@@ -100,23 +109,25 @@ class _Pages:
     def consent(self, request: Request) -> Response:
         """Shows the consent form."""
         self._check(request, JOIN)
+        self._ids(request)
         return self._consent(HTTPStatus.OK, "")
 
     def enroll(self, request: Request) -> Response:
-        """Gives a person a link of their own."""
+        """Gives a person their link."""
         self._check(request, JOIN)
+        ids = self._ids(request)
         try:
-            token = self._conversations.enroll(request.state.form)
+            token = self._conversations.enroll(request.state.form, ids)
         except RefusedError as error:
             return self._consent(error.status, str(error))
-        return _to(token)
+        return self._to(token)
 
     def now(self, request: Request) -> Response:
         """Shows the next step of a person."""
         return self._page(self._token(request))
 
     def step(self, request: Request) -> Response:
-        """Takes a step, then shows what comes next; a refused one keeps what was given."""
+        """Takes a step and shows the next page; a refused form keeps its content."""
         token, form = self._token(request), request.state.form
         take = self._steps.get(request.path_params["step"])
         if take is None:
@@ -137,7 +148,7 @@ class _Pages:
             status = HTTPStatus.INTERNAL_SERVER_ERROR
             problem = "The assistant could not answer. Please send your message again."
         else:
-            return _to(token)
+            return self._to(token)
         return self._page(token, status, problem, form, keep_nonce=True)
 
     def _page(
@@ -154,7 +165,8 @@ class _Pages:
         if not sessions:  # forgotten by now
             raise HTTPException(HTTPStatus.NOT_FOUND)
         if (session := current(sessions)) is None:
-            return self._html("done", status, problem=problem)
+            code, url = self._study.terms.completion_code, self._study.terms.completion_url
+            return self._html("done", status, problem=problem, code=code, url=url)
         # A text that was refused is kept, one of an earlier conversation is not.
         given = form if form.get("session") == str(session.position) else {}
         return self._html(
@@ -197,7 +209,7 @@ class _Pages:
         )
 
     def transcript(self, request: Request) -> Response:
-        """A session turn by turn, with what the agent thought."""
+        """Shows a session turn by turn, with the agent's beliefs."""
         self._check(request, RESEARCHER)
         number = request.path_params["session"]
         session = self._store.session(int(number)) if _ID.fullmatch(number) else None
@@ -215,18 +227,22 @@ class _Pages:
     # -- what all pages share ----------------------------------------------------------------------
 
     def message(self, status: HTTPStatus, text: str) -> Response:
-        """A page that says one thing."""
+        """Returns a page with one sentence."""
         return self._html("message", status, text=text)
 
     def no_page(self, request: Request, error: HTTPException) -> Response:
-        """One page for a link that is wrong, guessed or of something else."""
+        """Returns the same page for any link that is wrong or guessed."""
         status = HTTPStatus(error.status_code)
         if status == HTTPStatus.NOT_FOUND:
             return self.message(status, "There is no page here. Please check your link.")
         return self.message(status, "This cannot be done here. Please open your link again.")
 
+    def refused(self, request: Request, error: RefusedError) -> Response:
+        """Returns the page for a join link that cannot be used."""
+        return self.message(error.status, str(error))
+
     def not_stored(self, request: Request, error: StoreError) -> Response:
-        """The page where the study's file cannot be used."""
+        """Returns the page for a study file that cannot be used."""
         _log.error("%s", error)
         text = "The study cannot be reached just now. Please try again in a minute."
         return self.message(HTTPStatus.SERVICE_UNAVAILABLE, text)
@@ -239,6 +255,10 @@ class _Pages:
         if not hmac.compare_digest(given, self._store.key(purpose).encode()):
             raise HTTPException(HTTPStatus.NOT_FOUND)
 
+    def _ids(self, request: Request) -> dict[str, str]:
+        """Returns the ids in a join link."""
+        return ids_of(self._study.terms.join_parameters, request.query_params.getlist)
+
     def _consent(self, status: HTTPStatus, problem: str) -> Response:
         terms = self._study.terms
         paragraphs = [text.strip() for text in terms.consent.split("\n\n") if text.strip()]
@@ -249,6 +269,7 @@ class _Pages:
             paragraphs=paragraphs,
             sessions=terms.sessions,
             retention=terms.retention,
+            parameters=terms.join_parameters,
             nonce=_new_nonce(),
         )
 
@@ -256,12 +277,12 @@ class _Pages:
         self, template: str, status: HTTPStatus = HTTPStatus.OK, **values: Any
     ) -> HTMLResponse:
         page = _TEMPLATES.get_template(f"{template}.html")
-        return HTMLResponse(page.render(name=self._study.terms.name, **values), status)
+        shared = {"name": self._study.terms.name, "prefix": self._prefix}
+        return HTMLResponse(page.render(**shared, **values), status)
+
+    def _to(self, token: str) -> Response:
+        return RedirectResponse(f"{self._prefix}/p/{token}", HTTPStatus.SEE_OTHER)
 
 
 def _new_nonce() -> str:
     return secrets.token_urlsafe(16)
-
-
-def _to(token: str) -> Response:
-    return RedirectResponse(f"/p/{token}", HTTPStatus.SEE_OTHER)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import shutil
+from itertools import pairwise
 
 import pytest
 
@@ -99,6 +100,7 @@ def test_the_keyboard_alone_is_enough(visit):
     page.keyboard.type("bye")
     page.keyboard.press("Enter")
     page.wait_for_selector("fieldset")
+    page.keyboard.press("Tab")  # the goal card, which Space would close
     page.keyboard.press("Tab")
     page.keyboard.press("Space")
     for _ in range(4):
@@ -128,10 +130,53 @@ def test_nothing_is_wider_than_a_small_screen(visit, settings):
     assert fits()
 
 
+PHONE = {"viewport": {"width": 360, "height": 640}, "has_touch": True, "is_mobile": True}
+
+
+def in_sight(page, selector):
+    """How many pixels of an element's height are on the screen."""
+    box, height = page.locator(selector).bounding_box(), page.viewport_size["height"]
+    return min(box["y"] + box["height"], height) - max(box["y"], 0)
+
+
+def test_the_goal_stays_in_sight_on_a_phone_until_it_is_closed(visit):
+    page = visit(**PHONE)
+    for number in range(12):
+        say(page, f"message {number}")
+    page.evaluate("window.scrollTo(0, document.body.scrollHeight)")
+    assert page.evaluate("window.scrollY") > 640
+    assert in_sight(page, "details.card") > 100
+    assert in_sight(page, "#text") > 20
+    page.locator("summary").tap()
+    assert 20 < in_sight(page, "details.card") < 100
+    say(page, "after it was closed")
+    page.evaluate("window.scrollTo(0, document.body.scrollHeight)")
+    assert 20 < in_sight(page, "details.card") < 100
+    say(page, "bye")
+    for name in ("verdict", "overall", "naturalness", "coherence", "completion"):
+        page.locator(f"input[name={name}]").first.check()
+    page.get_by_role("button", name="Next").click()
+    assert page.locator("details.card").get_attribute("open") is not None  # another goal
+
+
+def test_the_scale_is_one_line_on_a_phone(visit):
+    page = visit(**PHONE)
+    say(page, "bye")
+    for name in ("overall", "naturalness", "coherence", "completion"):
+        boxes = [item.bounding_box() for item in page.locator(f"input[name={name}]").all()]
+        assert len({box["y"] for box in boxes}) == 1
+        assert boxes[0]["x"] > 0
+        assert boxes[-1]["x"] + boxes[-1]["width"] < 360
+        steps = [after["x"] - box["x"] for box, after in pairwise(boxes)]
+        assert min(steps) >= 24  # apart enough for a finger
+    spills = "[...document.querySelectorAll('.scale')].some(e => e.scrollWidth > e.clientWidth)"
+    assert not page.evaluate(spills)
+
+
 def test_every_field_has_a_name_for_screen_readers(visit):
     page = visit()
     say(page, "bye")
-    assert page.get_by_role("group").count() == 5
+    assert page.locator("fieldset:has(legend)").count() == 5
     assert page.get_by_role("radio").count() == 2 + 4 * 5
     unnamed = page.evaluate(
         "[...document.querySelectorAll('input:not([type=hidden]), button')]"

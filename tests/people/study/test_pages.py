@@ -67,6 +67,44 @@ def test_no_answer_names_agent_weights_or_values(site):
             assert secret not in everything
 
 
+def rules(css, selector):
+    """The declarations of a selector in the style sheet."""
+    css = re.sub(r"/\*.*?\*/", "", css, flags=re.DOTALL)
+    found = re.findall(rf"^{re.escape(selector)} {{(.*?)}}", css, flags=re.DOTALL | re.MULTILINE)
+    pairs = (part.split(":", 1) for text in found for part in text.split(";") if part.strip())
+    return {name.strip(): value.strip() for name, value in pairs}
+
+
+def test_the_goal_card_stays_in_sight_and_can_be_closed(site):
+    css = site.client.get("/static/study.css").text
+    card = rules(css, "details.card")
+    assert (card["position"], card["top"], card["overflow-y"]) == ("sticky", "0", "auto")
+    assert 20 <= int(card["max-height"].removesuffix("vh")) <= 50  # leaves room for messages
+    assert rules(css, ".card")["background"] == "#fff"  # messages do not shine through
+    link = site.enroll()
+    site.say(link, "city=philly", "bye")
+    for page in (site.client.get(site.enroll()).text, site.client.get(link).text):
+        opened = '<details class="card" open data-conversation="1">'
+        [inside] = re.findall(rf"{opened}(.*?)</details>", page, flags=re.DOTALL)
+        assert "<summary><h2>Your goal</h2></summary>" in inside
+        assert "<dl>" in inside
+        # Sticks to the top of all of the page: nothing around it is shorter than that.
+        assert page.index("<main>") < page.index(opened)
+        assert "<div" not in page[page.index("<main>") : page.index(opened)]
+
+
+def test_a_scale_is_one_line(site):
+    css = site.client.get("/static/study.css").text
+    assert rules(css, ".scale")["display"] == "flex"
+    assert "flex-wrap" not in rules(css, ".scale")
+    assert rules(css, ".scale label")["flex-direction"] == "column"  # a number below its button
+    link = site.enroll()
+    page = site.say(link, "bye").text
+    scales = re.findall(r'<div class="scale"><span>worst</span>(.*?)</div>', page, flags=re.DOTALL)
+    values = [re.findall(r'name="(\w+)" value="(\d)"', scale) for scale in scales]
+    assert values == [[(name, value) for value in "12345"] for name in SCALES]
+
+
 @pytest.mark.parametrize("text", HOSTILE)
 def test_hostile_text_is_stored_and_shown_as_text(site, text):
     link = site.enroll()
@@ -244,7 +282,7 @@ def test_the_researcher_sees_progress_and_beliefs_turn_by_turn(site):
     turn = site.client.get(f"{site.researcher}/{number}").text
     assert "Your goal" not in turn
     ratings = [f"<dt>{scale}</dt><dd>4 of 5</dd>" for scale in SCALES]
-    person = ("The person&#39;s goal", "<dt>own verdict</dt><dd>yes</dd>", *ratings)
+    person = ("The person's goal", "<dt>own verdict</dt><dd>yes</dd>", *ratings)
     for shown in (
         *person,
         "inform(city=philly)",

@@ -83,6 +83,41 @@ def test_an_agent_may_be_more_cautious_than_another_of_the_same_run(write):
         ({"idle_minutes": "-1"}, "idle_minutes must be a whole number between 1 and 10080, got -1"),
         ({"joins_per_minute": "0"}, "joins_per_minute must be a whole number between 1 and 10000"),
         ({"retention": "2027-12-31"}, "retention must be text: until when the data are kept, got"),
+        *(
+            (
+                {"url": f"'{url}'"},
+                f"url must be an address such as https://lab.example/study/: http or https, host, "
+                f"port and path, without user, query and fragment, got '{url}'",
+            )
+            for url in (
+                *("lab.example", "ftp://lab.example", "https://", "https://lab.example/#study"),
+                *("https://lab.example/?a=b", "https://me@lab.example", "https://lab.example:0"),
+                *("https://lab.example:65536", "https://lab.example/a b", "https://a/../b"),
+                *("https://lab.example//study", "https://lab.example/%41", "javascript:alert(1)"),
+            )
+        ),
+        ({"url": "7"}, "url must be an address such as https://lab.example/study/: http or https"),
+        (
+            {"url": "https://lab.example/static/"},
+            "url must have another path than the study's pages (/join, /p, /r, /static), got 'ht",
+        ),
+        *(
+            ({"join_parameters": value}, "join_parameters must be a list of distinct names of pa")
+            for value in ("PROLIFIC_PID", "[a, a]", "[1]", "['a b']", "['']", "{a: b}", "[yes]")
+        ),
+        *(
+            (
+                {"completion_url": f"'{url}'"},
+                "completion_url must be a link that begins with https://, without spaces, got "
+                f"'{url}'",
+            )
+            for url in (
+                *("http://pay.example/", "javascript:alert(1)", "https://", "pay.example"),
+                *("https://pay.example/a b", "https:///x", "data:text/html,x"),
+            )
+        ),
+        ({"completion_code": "123"}, "completion_code must be text of at most 200 characters"),
+        ({"completion_code": "x" * 201}, "completion_code must be text of at most 200 characters"),
         ({"goals": "[0]"}, "goals must be attainable or a list of numbers between 1 and"),
         ({"goals": "[1, 1]"}, "goals must be distinct and at least as many as sessions (2)"),
         ({"domain": "nowhere"}, "domain must be movie or a domain's folder: "),

@@ -20,6 +20,7 @@ from bbq_torchrl.people.study.statistics import mean
 from bbq_torchrl.people.study.store import Store
 
 from .fakes import FakeTalker, prints
+from .served import free_port
 
 WON, LOST = (), ("wishes", "no ticket")
 
@@ -201,8 +202,14 @@ def test_the_power_command_prints_both_tests(capsys):
     ("command", "sentence"),
     [
         ("report nowhere.yaml", "error: nowhere.sqlite: there is no such file"),
-        ("serve nowhere.yaml --talker no.such:thing", "error: --talker: it must be module:"),
-        ("serve nowhere.yaml --talker json:dumps", "error: nowhere.yaml: No such file"),
+        (
+            "serve nowhere.yaml --port {free} --talker no.such:thing",
+            "error: --talker: it must be module:",
+        ),
+        (
+            "serve nowhere.yaml --port {free} --talker json:dumps",
+            "error: nowhere.yaml: No such file",
+        ),
         ("power 1.5 0.4 66", "must be a number between 0.001 and 0.999, got '1.5'"),
         ("power 0.6 0.4 0", "must be a whole number between 1 and 100000, got '0'"),
         ("serve a --talker b:c --port x", "must be a whole number between 1 and 65535, got 'x'"),
@@ -213,7 +220,7 @@ def test_a_command_that_cannot_be_done_is_told_in_a_sentence(
 ):
     monkeypatch.chdir(tmp_path)
     try:
-        code = main(command.split())
+        code = main(command.format(free=free_port()).split())
     except SystemExit as ended:
         code = ended.code
     error = capsys.readouterr().err

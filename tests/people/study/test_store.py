@@ -38,7 +38,7 @@ def test_the_file_is_as_safe_as_sqlite_makes_it(open_store):
     assert store.rows("PRAGMA synchronous") == [(2,)]
     strict = store.rows("SELECT name FROM pragma_table_list WHERE strict")
     assert {name for (name,) in strict} == {
-        *("study", "agent", "person", "session", "exchange", "rating")
+        *("study", "agent", "person", "session", "exchange", "rating", "recruited")
     }
     with pytest.raises(StoreError, match="cannot store BLOB value in TEXT column"):
         store.rows("INSERT INTO agent VALUES (x'00', 'blob')")
