@@ -124,7 +124,8 @@ def listen(host: str, port: int) -> socket.socket:
         return socket.create_server((host, port), family=family)
     except OSError as error:
         if error.errno == errno.EADDRINUSE:
-            text = f"--port {port} is in use at {host or 'all addresses'}: end what listens there, or name another"
+            where = host or "all addresses"
+            text = f"--port {port} is in use at {where}: end what listens there, or name another"
         elif error.errno == errno.EACCES:
             text = f"--port {port} needs rights that you lack: name one from 1024"
         else:
