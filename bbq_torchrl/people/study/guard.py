@@ -81,8 +81,9 @@ class Guard:
         if scope["method"] not in ("GET", "HEAD"):
             try:
                 request = Request(scope, receive)
+                body = await _body(request)  # first: who is still sending reads no answer
                 self._check_origin(request)
-                scope.setdefault("state", {})["form"] = await _form(request)
+                scope.setdefault("state", {})["form"] = _fields(request, body)
             except ClientDisconnect:
                 return  # half a form: nobody reads an answer
             except RefusedError as error:
@@ -109,32 +110,41 @@ class Guard:
         raise RefusedError(HTTPStatus.FORBIDDEN, "This form was sent from another site.")
 
 
-async def _form(request: Request) -> dict[str, str]:
+def _fields(request: Request, body: bytes) -> dict[str, str]:
     """Returns the fields of a form.
 
     Raises:
-        ClientDisconnect: it has not arrived.
-        RefusedError: it is not one to read.
+        RefusedError: it is no form.
     """
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind != "application/x-www-form-urlencoded":
         raise RefusedError(HTTPStatus.UNSUPPORTED_MEDIA_TYPE, "A form was expected.")
+    return dict(parse_qsl(body.decode("latin-1"), keep_blank_values=True, errors="replace"))
+
+
+async def _body(request: Request) -> bytes:
+    """Returns the body of a request.
+
+    Raises:
+        ClientDisconnect: it has not arrived.
+        RefusedError: it is too large or too slow.
+    """
+    body, size = b"", 0
+
+    async def read() -> None:
+        nonlocal body, size
+        async for chunk in request.stream():
+            size += len(chunk)
+            if size <= MAX_BODY:  # the rest is read and dropped
+                body += chunk
+
     try:
-        body = await asyncio.wait_for(_body(request), BODY_SECONDS)
+        await asyncio.wait_for(read(), BODY_SECONDS)
     except asyncio.TimeoutError:
         raise RefusedError(
             HTTPStatus.REQUEST_TIMEOUT,
             f"The form took more than {BODY_SECONDS:g} seconds to arrive: send it again.",
         ) from None
-    return dict(parse_qsl(body.decode("latin-1"), keep_blank_values=True, errors="replace"))
-
-
-async def _body(request: Request) -> bytes:
-    body, size = b"", 0
-    async for chunk in request.stream():
-        size += len(chunk)
-        if size <= MAX_BODY:  # what is more is read past, so that its sender reads the answer
-            body += chunk
     if size > MAX_BODY:
         raise RefusedError(
             HTTPStatus.REQUEST_ENTITY_TOO_LARGE,
