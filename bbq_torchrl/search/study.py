@@ -169,10 +169,10 @@ def _tie(study: optuna.Study, folder: Path, database: str) -> None:
         of_study = of_folder = of_folder or uuid4().hex
         write_text(file, of_folder)
         study.set_user_attr(_TIED, of_study)
-    if of_folder != of_study:
+    if of_study is None or of_folder != of_study:
         fault = (
             f"{folder} has trials that {database} lacks"
-            if of_study is None
+            if of_study is None and runs
             else f"{database} has the search of another folder than {folder}"
         )
         raise ConfigError(f"{fault}: choose another search.folder")

@@ -62,7 +62,7 @@ def test_a_folder_is_not_used_with_a_database_that_does_not_know_it(searched, st
         given.append(f"search.storage=sqlite:///{tmp_path / 'another.db'}")
     _, told = forked.call(command(*given), cwd=tmp_path, code=2)
     assert told.splitlines()[-1].startswith(f"error: {searched} has trials that ")
-    assert told.splitlines()[-1].endswith(" does not know: choose another search.folder")
+    assert told.splitlines()[-1].endswith(" lacks: choose another search.folder")
     check(searched)
     (searched / "study.db").write_bytes(kept)  # with its database the search goes on
     forked.call(command(f"search.folder={searched}"), cwd=tmp_path)
