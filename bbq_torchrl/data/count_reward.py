@@ -7,17 +7,16 @@ from typing import TYPE_CHECKING
 import torch
 from tensordict.utils import unravel_key
 from torch import Tensor
-from torchrl.envs import EnvBase, Transform
 
-from bbq_torchrl.bayes.replicas import checked_number
-from bbq_torchrl.checks import AT_LEAST_ZERO, COUNT, check
+from bbq_torchrl.checks import COUNT, check
+from bbq_torchrl.data.bonus_reward import BonusReward
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase
     from tensordict.utils import NestedKey
 
 
-class CountReward(Transform):
+class CountReward(BonusReward):
     r"""Adds a bonus to each stored transition for the rarity of its next state.
 
     This is a transform of a replay buffer, not of an environment. The bonus is 1 / sqrt(n), where n
@@ -59,12 +58,8 @@ class CountReward(Transform):
     """
 
     counts: Tensor
-    eta: float | Tensor
     _codes: Tensor
     _features: Tensor
-    _bonus_totals: Tensor
-
-    ENV_ERR = "CountReward is a transform of replay buffers, not of an environment"
 
     def __init__(
         self,
@@ -83,84 +78,36 @@ class CountReward(Transform):
         if not bool(features.any()):
             raise ValueError("features must include at least one that is counted, got none")
         check("buckets", buckets, COUNT)
-        self.replicas = torch.Size(replicas)
-        eta = checked_number("eta", eta, self.replicas, AT_LEAST_ZERO)
-        reward, kind = unravel_key(("next", reward_key)), unravel_key(("next", kind_key))
         super().__init__(
-            in_keys=[reward, kind],
-            out_keys=[reward],
+            kind_key,
+            eta=eta,
+            replicas=replicas,
+            reward_key=reward_key,
+            valid_key=valid_key,
             in_keys_inv=[unravel_key(("next", observation_key))],
-            out_keys_inv=[kind],
         )
-        if isinstance(eta, Tensor):
-            self.register_buffer("eta", eta, persistent=False)
-        else:
-            self.eta = eta
-        self.valid_key = valid_key
         # fixed in every run, so that hash collisions do not depend on the seed
         generator = torch.Generator().manual_seed(0)
         codes = torch.randint(2**62, features.shape, generator=generator)
         self.register_buffer("_codes", codes, persistent=False)
         self.register_buffer("_features", features, persistent=False)
         self.register_buffer("counts", torch.zeros(*self.replicas, buckets, dtype=torch.int64))
-        totals = torch.zeros(2, *self.replicas, dtype=torch.float64)
-        self.register_buffer("_bonus_totals", totals, persistent=False)
-
-    def pop_metrics(self) -> dict[str, Tensor]:
-        """Returns the mean bonus of transitions stored since the last call, and resets it.
-
-        The trainer's metric "intrinsic_reward" [*replicas], without eta; NaN if nothing was stored.
-        """
-        total, count = self._bonus_totals.unbind(0)
-        mean = total / count
-        self._bonus_totals.zero_()
-        return {"intrinsic_reward": mean}
 
     @torch.no_grad()
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Counts the states and returns the transitions with their buckets."""
-        (kind_key,) = self.out_keys_inv
+        (kind_key,), (observation_key,) = self.out_keys_inv, self.in_keys_inv
         if tensordict.get(kind_key, None) is not None:
             return tensordict
-        batch = tensordict.batch_size
-        if batch[: len(self.replicas)] != self.replicas:
-            raise ValueError(
-                f"the batch size must begin with the replicas {list(self.replicas)}, got "
-                f"{list(batch)}"
-            )
-        (observation_key,) = self.in_keys_inv
+        valid = self._valid_rows(tensordict).reshape(*self.replicas, -1)
         is_above = (tensordict[observation_key].to(self.counts.device) > 0) & self._features
-        kind = (is_above * self._codes).sum(-1) % self.counts.shape[-1]
-        valid = tensordict.get(self.valid_key, None)
-        if valid is None:
-            valid = torch.ones_like(kind, dtype=torch.bool)
-        rows = kind.reshape(*self.replicas, -1)
-        is_counted = valid.bool().to(rows.device).reshape(rows.shape)
-        self.counts.scatter_add_(-1, rows, is_counted.long())
-        bonus = self.counts.gather(-1, rows).double().clamp_min(1).rsqrt() * is_counted
-        self._bonus_totals += torch.stack([bonus.sum(-1), is_counted.sum(-1).double()])
-        return tensordict.set(kind_key, kind.unsqueeze(-1).to(tensordict.device))
+        kind = ((is_above * self._codes).sum(-1) % self.counts.shape[-1]).unsqueeze(-1)
+        self.counts.scatter_add_(-1, kind.reshape(valid.shape), valid.long())
+        bonus = self._bonus_of(kind).reshape(valid.shape) * valid
+        self._add_to_totals(bonus.sum(-1), valid.sum(-1))
+        return tensordict.set(kind_key, kind.to(tensordict.device))
 
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Returns a shallow copy whose reward is reward + eta / sqrt(n); the input is unchanged."""
-        reward_key, kind_key = self.in_keys
-        reward, kind = tensordict.get(reward_key), tensordict.get(kind_key, None)
-        if kind is None:
-            raise KeyError(
-                f"{kind_key!r} is missing: the transitions were stored without this transform"
-            )
-        rows = kind.to(self.counts.device).reshape(*self.replicas, -1)
-        bonus = self.counts.gather(-1, rows).clamp_min(1).to(reward.dtype).rsqrt()
-        eta = self.eta
-        bonus = bonus * (eta.to(bonus).unsqueeze(-1) if isinstance(eta, Tensor) else eta)
-        out = tensordict.clone(recurse=False)
-        return out.set(reward_key, reward + bonus.reshape(reward.shape).to(reward.device))
-
-    def set_container(self, container: Transform | EnvBase) -> None:
-        """Raises ValueError if the container is, or belongs to, an environment."""
-        if isinstance(container, EnvBase) or container.parent is not None:
-            raise ValueError(self.ENV_ERR)
-        super().set_container(container)
-
-    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        raise ValueError(self.ENV_ERR)
+    def _bonus_of(self, stored: Tensor) -> Tensor:
+        """Returns 1 / sqrt(n) by the counts of now, float64, in the shape of the buckets."""
+        kind = stored.to(self.counts.device).reshape(*self.replicas, -1)
+        return self.counts.gather(-1, kind).double().clamp_min(1).rsqrt().reshape(stored.shape)

@@ -9,10 +9,9 @@ import torch
 import torch.nn.functional as F
 from tensordict.utils import unravel_key
 from torch import Tensor
-from torchrl.envs import EnvBase, Transform
 
-from bbq_torchrl.bayes.replicas import checked_number
-from bbq_torchrl.checks import ABOVE_ZERO, AT_LEAST_ZERO, at_least, check, one_of
+from bbq_torchrl.checks import ABOVE_ZERO, at_least, check, one_of
+from bbq_torchrl.data.bonus_reward import BonusReward
 from bbq_torchrl.utils.seeds import checked_seed
 from bbq_torchrl.vime.information_gain import RunningMedian, information_gain
 
@@ -29,7 +28,7 @@ GainWeights = Literal["map", "mc"]
 _PIECE = 256  # rows processed at once, so that a row does not depend on the number of others
 
 
-class VIMEReward(Transform):
+class VIMEReward(BonusReward):
     r"""Adds the information gain of a dynamics model to each stored transition as a bonus.
 
     This is a transform of a replay buffer, not of an environment:
@@ -105,14 +104,6 @@ class VIMEReward(Transform):
         True
     """
 
-    _bonus_totals: Tensor
-    eta: float | Tensor
-
-    ENV_ERR = (
-        "VIMEReward is a transform of replay buffers: it needs whole transitions, which an "
-        "environment's transform does not see"
-    )
-
     def __init__(
         self,
         dynamics: DynamicsModel,
@@ -131,45 +122,26 @@ class VIMEReward(Transform):
         intrinsic_reward_key: NestedKey = "intrinsic_reward",
     ) -> None:
         check("weights", weights, one_of(*get_args(GainWeights)))
-        eta = checked_number("eta", eta, dynamics.replicas, AT_LEAST_ZERO)
         for name, value in (("step_size", step_size), ("clip", clip)):
             check(name, value, ABOVE_ZERO)
         check("median_window", median_window, at_least(1))
-        reward = unravel_key(("next", reward_key))
-        bonus = unravel_key(("next", intrinsic_reward_key))
         state = (observation_key, action_key, unravel_key(("next", observation_key)))
         super().__init__(
-            in_keys=[reward, bonus],
-            out_keys=[reward],
+            intrinsic_reward_key,
+            eta=eta,
+            replicas=dynamics.replicas,
+            reward_key=reward_key,
+            valid_key=valid_key,
             in_keys_inv=[*state, unravel_key(("next", terminated_key))],
-            out_keys_inv=[bonus],
+            device=dynamics.mean.device,
         )
         self.dynamics = dynamics
-        if isinstance(eta, Tensor):
-            self.register_buffer("eta", eta, persistent=False)
-        else:
-            self.eta = eta
         self.weights = weights
         self.step_size = step_size
         self.normalize = normalize
         self.clip = clip
-        self.valid_key = valid_key
         self.median = RunningMedian(dynamics.replicas, median_window, dynamics.mean)
-        # sum and number of the bonuses since the last report; not worth a checkpoint
-        totals = dynamics.mean.new_zeros((2, *dynamics.replicas)).double()
-        self.register_buffer("_bonus_totals", totals, persistent=False)
         self._generators: list[torch.Generator] | None = None
-
-    def pop_metrics(self) -> dict[str, Tensor]:
-        """Returns the mean bonus of transitions stored since the last call, and resets it.
-
-        The trainer's metric "intrinsic_reward" [*replicas]: the mean over valid transitions without
-        eta, including terminal ones with 0; NaN if nothing was stored.
-        """
-        total, count = self._bonus_totals.unbind(0)
-        mean = total / count
-        self._bonus_totals.zero_()
-        return {"intrinsic_reward": mean}
 
     def set_seeds(self, seeds: Sequence[int]) -> None:
         """Reseeds the random numbers of "mc" of each replica.
@@ -199,21 +171,12 @@ class VIMEReward(Transform):
         (bonus_key,) = self.out_keys_inv
         if tensordict.get(bonus_key, None) is not None:
             return tensordict
-        replicas = self.dynamics.replicas
-        if tensordict.batch_size[: len(replicas)] != replicas:
-            raise ValueError(
-                f"the batch size must begin with the replicas {list(replicas)}, got "
-                f"{list(tensordict.batch_size)}"
-            )
+        valid = self._valid_rows(tensordict)
         batch = tensordict.batch_size
         observation, action, following, terminated = (
             tensordict[key].to(self.dynamics.mean.device) for key in self.in_keys_inv
         )
         is_continuing = ~terminated.bool().reshape(batch)
-        valid = tensordict.get(self.valid_key, None)
-        if valid is None:
-            valid = torch.ones_like(is_continuing)
-        valid = valid.bool().reshape(batch).to(is_continuing.device)
         rows = [
             observation,
             self.dynamics.encode_action(action, batch),
@@ -221,7 +184,7 @@ class VIMEReward(Transform):
             valid.unsqueeze(-1),
             (valid & is_continuing).unsqueeze(-1),
         ]
-        rows = [entry.reshape(*replicas, -1, entry.shape[-1]) for entry in rows]
+        rows = [entry.reshape(*self.replicas, -1, entry.shape[-1]) for entry in rows]
         _refuse_infinite(*rows)
         bonus = self._bonus(*rows).reshape(*batch, 1)
         return tensordict.set(bonus_key, bonus.to(tensordict.device or observation.device))
@@ -257,9 +220,7 @@ class VIMEReward(Transform):
             gain = gain / median.clamp_min(torch.finfo(gain.dtype).tiny)
         bonus = torch.where(is_predicted, gain.clamp_max(self.clip), 0)
         # cumsum adds from left to right, so the zeros of the padding at the end change no bit
-        self._bonus_totals += torch.stack(
-            [bonus.double().cumsum(-1)[..., -1], valid.squeeze(-1).sum(-1).double()]
-        )
+        self._add_to_totals(bonus.double().cumsum(-1)[..., -1], valid.squeeze(-1).sum(-1))
         return bonus
 
     def _noise(self) -> Tensor:
@@ -271,32 +232,6 @@ class VIMEReward(Transform):
         for row, generator in zip(noise, self._generators, strict=True):
             row.normal_(generator=generator)
         return noise.reshape(mu.shape)
-
-    # -- reading ----------------------------------------------------------------------------
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Returns a shallow copy whose reward is task reward + eta · bonus; the input stays."""
-        reward_key, bonus_key = self.in_keys
-        reward, bonus = tensordict.get(reward_key), tensordict.get(bonus_key, None)
-        if bonus is None:
-            raise KeyError(
-                f"{bonus_key!r} is missing: the transitions were stored without this transform"
-            )
-        out = tensordict.clone(recurse=False)
-        bonus, eta = bonus.to(reward.dtype).reshape(reward.shape), self.eta
-        if not isinstance(eta, Tensor):
-            return out.set(reward_key, torch.add(reward, bonus, alpha=eta))
-        eta = eta.to(reward).reshape(eta.shape + (1,) * (reward.ndim - eta.ndim))
-        return out.set(reward_key, torch.addcmul(reward, bonus, eta))
-
-    def set_container(self, container: Transform | EnvBase) -> None:
-        """Raises ValueError if the container is, or belongs to, an environment."""
-        if isinstance(container, EnvBase) or container.parent is not None:
-            raise ValueError(self.ENV_ERR)
-        super().set_container(container)
-
-    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
-        raise ValueError(self.ENV_ERR)
 
 
 def _refuse_infinite(
