@@ -161,35 +161,32 @@ class Thompson(ExploreOption):
         return ThompsonSampling(actor, per=self.per, shared=self.shared), {}  # type: ignore[arg-type]
 
 
+class _OnWeightDraws:
+    """A strategy on the values of a weight draw; precedes that strategy and Thompson."""
+
+    needs: ClassVar[tuple[str, ...]] = Thompson.needs
+
+    def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
+        """The module that draws weights, followed by the strategy's module."""
+        policy, _ = Thompson.make(self, actor, greedy, task)  # type: ignore[arg-type]
+        return super().make(actor, policy, task)  # type: ignore[misc]
+
+
 @register
 @dataclass
-class ThompsonEpsilon(EpsilonGreedy, Thompson):
+class ThompsonEpsilon(_OnWeightDraws, EpsilonGreedy, Thompson):
     """Thompson sampling, or with probability epsilon a uniformly random legal action."""
 
     name: str = option("thompson_epsilon")
 
-    needs: ClassVar[tuple[str, ...]] = Thompson.needs
-
-    def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
-        """The module that draws weights, followed by one that replaces its action."""
-        policy, _ = Thompson.make(self, actor, greedy, task)
-        return EpsilonGreedy.make(self, actor, policy, task)
-
 
 @register
 @dataclass
-class ThompsonBoltzmann(BoltzmannActing, Thompson):
+class ThompsonBoltzmann(_OnWeightDraws, BoltzmannActing, Thompson):
     """Actions drawn from softmax(Q / temperature) of a weight draw."""
 
     name: str = option("thompson_boltzmann")
     temperature_end: Values = other_default(BoltzmannActing, "temperature_end", 0.05)
-
-    needs: ClassVar[tuple[str, ...]] = Thompson.needs
-
-    def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
-        """The module that draws weights, followed by one that draws an action from its values."""
-        policy, _ = Thompson.make(self, actor, greedy, task)
-        return BoltzmannActing.make(self, actor, policy, task)
 
 
 @register
