@@ -85,7 +85,7 @@ class FixedTargets(Protocol):
 
     @property
     def has_fixed_targets(self) -> bool:
-        """Whether the targets are the same for every batch until the next freeze."""
+        """True if all batches until the next freeze share their targets."""
 
     @property
     def tensor_keys(self) -> Any:

@@ -1,4 +1,4 @@
-"""How fast different initial posteriors fit a fixed buffer: the plateau of the zero mean.
+"""Speed of fitting a fixed buffer from different initial posteriors: the plateau of the zero mean.
 
     python examples/plateau.py --file results/plateau.csv    # two minutes
     python examples/plateau.py --epochs 3                    # a first look, on the screen

@@ -41,7 +41,7 @@ class Row:
 
     @property
     def reached(self) -> bool | None:
-        """Whether the target is reached; None without a target."""
+        """True if the target is reached; None without a target."""
         if self.target is None:
             return None
         if self.better == "higher":

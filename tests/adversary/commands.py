@@ -70,7 +70,7 @@ class Command:
         return Ended(os.waitstatus_to_exitcode(status), *written, used.ru_utime + used.ru_stime)
 
     def works_in(self, folder: Path) -> bool:
-        """Whether the process has the lock of a run folder."""
+        """True while the process has the lock of a run folder."""
         process = Path(f"/proc/{self.pid}")
         return any(
             # An open file is not locked yet.

@@ -53,7 +53,7 @@ class Reply:
         heard: what was understood of the person's text.
         said: the agent's act, its values filled in. The offer of a booking informs the domain's
             complete slot (``ticket available`` or ``no match``) and all values held.
-        confidence: of the understanding, in [0, 1]; ``None`` where there is none.
+        confidence: the nlu's confidence, in [0, 1]; ``None`` if it gives none.
         ended: the agent ends the conversation.
         state: whatever the talker needs to answer the next text; the study stores it and gives it
             back, so that a conversation continues after any crash.

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 OPENING = Frame("none")
-"""The agent's last act at the opening, where there is none."""
+"""Placeholder for the agent's last act before it has acted."""
 
 
 @dataclass(frozen=True)
@@ -117,8 +117,8 @@ class Asking:
         """Returns the questions after it has asked again.
 
         Args:
-            understood: its first unclear name is asked about; where there is none, or nothing
-                could be read (``None``), the system asks for other words.
+            understood: the system asks about its first unclear name. Without one, and for a text
+                that could not be read (``None``), it asks for other words.
         """
         if understood is None or not understood.unclear:
             return replace(self, times=self.times + 1)

@@ -154,8 +154,8 @@ class Generator:
         """Returns an agent's question about what it did not understand.
 
         Args:
-            understood: what it did: the first of its unclear names is asked about, and where
-                there is none, for other words.
+            understood: the result of the nlu. The question is about its first unclear name;
+                without one it asks for other words.
             session: with ``turn`` chooses the words.
             turn: counts the turns of the session.
         """

@@ -52,7 +52,7 @@ class StoredExchange:
         text: the person's.
         answer: the agent's.
         heard: what was understood.
-        confidence: of the understanding; ``None`` where there is none.
+        confidence: the nlu's confidence; ``None`` if it gives none.
         said: the agent's act.
         beliefs: the agent's, as plain data.
         state: the talker's.

@@ -30,9 +30,9 @@ class Interval:
     """An estimate with its 95 % interval.
 
     Attributes:
-        value: the estimate; NaN where there is none.
-        low: lower end; NaN where there is none.
-        high: upper end; NaN where there is none.
+        value: the estimate; NaN without data.
+        low: lower end; NaN without an interval.
+        high: upper end; NaN without an interval.
         count: of observations.
     """
 

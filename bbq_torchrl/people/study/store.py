@@ -309,7 +309,7 @@ class Store:
         return counts, list(map(Session.of, rows))
 
     def session(self, number: int) -> Session | None:
-        """Returns a session by its id; ``None`` if there is none."""
+        """Returns a session by its id; ``None`` if the id is unknown."""
         rows = self.rows(f"{SESSIONS} WHERE session.id = ?", number)
         return Session.of(rows[0]) if rows else None
 
