@@ -62,8 +62,9 @@ class SearchConfig:
     trials: int = setting(50, COUNT, "number of trials of all processes together")
     objective: str = setting(
         "training",
-        one_of("training", "final"),
-        "success of all training dialogues (area under the curve), or of the final evaluation",
+        one_of("training", "early", "final"),
+        "success of all training dialogues (area under the curve), its mean with that of the first "
+        "third of the rounds, or success of the final evaluation",
     )
     statistic: str = setting("mean", one_of("mean", "iqm"), "statistic over a trial's replicas")
     sampler: str = setting("tpe", one_of("tpe", "random"), "sampler of the values")

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 
 import optuna
 
+from bbq_torchrl.evaluation.metrics import read_metrics
 from bbq_torchrl.evaluation.results import read_result, write_json
 from bbq_torchrl.runs.overrides import train_command
 from bbq_torchrl.runs.resume import is_finished, restarted_config
@@ -83,16 +84,19 @@ def play_trial(
         return Outcome(states.PRUNED)
     except TrainingError as error:
         return Outcome(states.FAIL, reason=sentence(error))
-    return Outcome(states.COMPLETE, _objective(result, settings))
+    return Outcome(states.COMPLETE, _objective(result, folder, settings))
 
 
-def _objective(result: RunResult, settings: SearchConfig) -> float:
+def _objective(result: RunResult, folder: Path, settings: SearchConfig) -> float:
     """Returns the objective: the replicas' mean or interquartile mean of success."""
-    final = settings.objective == "final"
-    return _statistic(
-        [item.success_rate if final else item.training_success for item in result.per_replica],
-        settings,
-    )
+    if settings.objective == "final":
+        return _statistic([item.success_rate for item in result.per_replica], settings)
+    values = [item.training_success for item in result.per_replica]
+    if settings.objective == "early":
+        success = read_metrics(folder)["success_rate"]
+        first = success[: max(1, len(success) // 3)].mean(0)
+        values = [(whole + float(early)) / 2 for whole, early in zip(values, first, strict=True)]
+    return _statistic(values, settings)
 
 
 def _statistic(values: Sequence[float], settings: SearchConfig) -> float:

@@ -137,6 +137,23 @@ def test_the_objective_is_the_success_that_was_chosen(tmp_path, objective, stati
     assert best["value"] == pytest.approx(share * success(best["values"]["agent.lr"]))
 
 
+def test_the_early_objective_counts_the_first_third_of_the_rounds_twice(tmp_path):
+    def training(config, folder, callbacks, **more):
+        rows = [
+            f"{number},{replica},50,{number / 10 + replica / 100}"
+            for number in range(6)
+            for replica in range(2)
+        ]
+        text = "\n".join(["round,replica,dialogues,success_rate", *rows, ""])
+        (folder / "metrics.csv").write_text(text)
+        whole = [SimpleNamespace(training_success=rate, success_rate=0) for rate in (0.25, 0.26)]
+        return SimpleNamespace(per_replica=whole)
+
+    best = search(tmp_path, "search.objective=early", trials=1, training=training)
+    # Two of six rounds: .05 and .06 of the replicas; all six: .25 and .26.
+    assert best["value"] == pytest.approx((0.15 + 0.16) / 2)
+
+
 @pytest.mark.parametrize("trials", [5, 9])
 def test_of_choices_alone_none_is_tried_twice(tmp_path, trials):
     search(tmp_path, "search.pruner=none", trials=trials, of="choices")
