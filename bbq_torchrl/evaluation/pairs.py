@@ -41,8 +41,8 @@ _OF_DIALOGUES = (
 )
 """Prefixes of the keys that determine the dialogues."""
 
-_FIRST_SCRIPT = {"movie": "rule", "miulab": "rule"}
-"""Domain -> the script that ``spike.policy=null`` finds in it."""
+_FOUND_SCRIPT = {"rule": "rule", "best": "repair"}
+"""``spike`` -> the script that ``spike.policy=null`` finds in the movie and MiuLab domains."""
 
 NO_PARTNER = (
     "no replica has a partner (one of the same number in a run of the same seed, number of "
@@ -127,7 +127,9 @@ def _with_script(setting: Mapping[str, Any]) -> dict[str, Any]:
     """Returns a setting with the script that spikes named, where the run found it by itself."""
     if "spike.policy" not in setting or setting["spike.policy"] is not None:
         return {**setting}
-    return {**setting, "spike.policy": _FIRST_SCRIPT.get(str(setting.get("domain.name")))}
+    spike = str(setting.get("spike.name"))
+    found = _FOUND_SCRIPT.get(spike) if setting.get("domain.name") in ("movie", "miulab") else spike
+    return {**setting, "spike.policy": found}
 
 
 def _compared(one: Group, other: Group) -> dict[str, tuple[list[float], list[float]]]:

@@ -30,11 +30,13 @@ class SpikeOption(Option):
     """The content of the replay buffer before the first round."""
 
     group: ClassVar[str] = "spike"
+    takes_best: ClassVar[bool] = False
+    """Whether ``policy=null`` takes the best script, and not the first that succeeds."""
 
     dialogues: int = setting(100, NON_NEGATIVE_INTEGER, "scripted dialogues put into the buffer")
     policy: str | None = setting(
         None,
-        optional(ANY_TEXT, "the domain's first that succeeds"),
+        optional(ANY_TEXT, "spike=rule: the domain's first that succeeds; best: its best"),
         "scripted policy of the domain that plays them",
     )
     protect: bool = setting(True, BOOLEAN, "never evict spiked transitions")
@@ -97,3 +99,12 @@ class RuleSpike(SpikeOption):
     """Replay-buffer spiking: dialogues of a scripted policy."""
 
     name: str = option("rule")
+
+
+@register
+@dataclass
+class BestSpike(SpikeOption):
+    """Replay-buffer spiking: dialogues of the domain's best script."""
+
+    name: str = option("best")
+    takes_best: ClassVar[bool] = True

@@ -74,7 +74,7 @@ def set_up_process(config: Config) -> None:
 
 
 def spike_policy(config: Config, domain: Domain | None) -> str:
-    """Returns the scripted policy for the spike: ``spike.policy``, or the first that succeeds.
+    """Returns the script for the spike: ``spike.policy``, else the first that succeeds or the best.
 
     The policies are tried with a fixed seed, so that all runs of a setting get the same spike. A
     policy that cannot be played in the first round is skipped.
@@ -86,6 +86,7 @@ def spike_policy(config: Config, domain: Domain | None) -> str:
         return config.spike.policy
     names = config.env.policies(domain)
     env = config.env.make(domain, (1, TRIED // 5), device=config.device)
+    booked = {}
     for name in names:
         try:
             policy = config.env.make_policy(name, env)
@@ -94,8 +95,11 @@ def spike_policy(config: Config, domain: Domain | None) -> str:
         torch.manual_seed(derive_seed(0, "torch", "spike tried"))
         env.set_seed(derive_seed(0, "env", "spike tried"))
         played = rollouts(env, policy, TRIED, max_steps=config.env.steps())
-        if any(bool(episode_stats(rollout).success.any()) for rollout in played):
+        booked[name] = sum(int(episode_stats(rollout).success.sum()) for rollout in played)
+        if booked[name] and not config.spike.takes_best:
             return name
+    if any(booked.values()):
+        return max(booked, key=booked.__getitem__)
     raise ConfigError(
         f"spike.policy must be a scripted policy that succeeds, and none of {', '.join(names)} "
         f"does in {TRIED} dialogues: mend the policies of the domain, make it easier (fewer "

@@ -35,7 +35,8 @@ def log_start(config: Config, domain: Domain | None, spiking: str | None) -> Non
     if domain is not None:
         _log_domain(domain, config.env.inactive_slots(domain))
     if spiking is not None and config.spike.policy is None and config.resume is None:
-        _LOG.info("spiking with the policy %s, the first that succeeds", spiking)
+        why = "the domain's best" if config.spike.takes_best else "the first that succeeds"
+        _LOG.info("spiking with the policy %s, %s", spiking, why)
 
 
 def progress(trainer: RoundTrainer) -> str:

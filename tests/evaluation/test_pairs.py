@@ -83,6 +83,9 @@ def test_a_script_that_a_run_found_by_itself_is_paired_with_the_same_one_given(a
     by_itself = add(BAD, **DQN, **found)
     assert compared(add(GOOD, **given), by_itself).remark == ""
     assert compared(add(GOOD, **other), by_itself).remark == "spike.policy differs (repair, rule)"
+    best = add(BAD, **DQN, changes={"spike.name": "best", "spike.policy": None})
+    assert compared(add(GOOD, **other), best).remark == ""
+    assert compared(best, by_itself).remark == "spike.policy differs (repair, rule)"
 
 
 @pytest.mark.parametrize(

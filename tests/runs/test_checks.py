@@ -78,6 +78,17 @@ def test_the_first_script_that_succeeds_spikes_and_is_told(never, tmp_path, capl
     assert float(told.split()[0]) > 0
 
 
+def test_the_best_script_spikes_wherever_it_stands_and_is_told(never, tmp_path, caplog):
+    careful = "  careful: {kind: careful, steps: [cuisine, area, day, hour, party_size]}\n"
+    early = "  early: {kind: careful, steps: [cuisine, area]}\n"
+    where = never("rule", rest=early + careful + early.replace("early", "later"))
+    config = compose([*SHORT, *where, "protocol.rounds=1", "spike=best", "spike.dialogues=20"])
+    with caplog.at_level(logging.INFO):
+        run(config, tmp_path / "run")
+    assert "spiking with the policy careful, the domain's best" in caplog.messages
+    assert check(compose(["spike=best"])).spiking == "repair"
+
+
 def test_a_domain_none_of_whose_scripts_succeeds_is_refused_with_the_way_out(never):
     where = never("rule", "second")
     with pytest.raises(ConfigError, match=r"none of rule, second does in 500 .*spike=none"):
