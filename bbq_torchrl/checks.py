@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -93,6 +94,15 @@ COUNTS = Allowed(
 BOOLEAN = Allowed("true or false", lambda value: isinstance(value, bool))
 TEXT = Allowed("a text", lambda value: isinstance(value, str))
 ANY_TEXT = Allowed("a text", lambda value: isinstance(value, str) and value != "")
+
+USERS = Allowed(
+    "one of paper, people, mixed, or profiles, such as [{share: .7, insists: 1}, {share: .3}]",
+    lambda value: (
+        isinstance(value, Mapping)
+        or value in ("paper", "people", "mixed")
+        or (isinstance(value, (list, tuple)) and bool(value))
+    ),
+)
 
 
 def one_of(*choices: str) -> Allowed:

@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.envs.schedule import ExtensionSchedule
     from bbq_torchrl.simulator import Channel, FeatureLayout, SlotErrorMode
+    from bbq_torchrl.simulator.profiles import Users
 
 
 class DialogueEnv(EnvBase):
@@ -82,6 +83,8 @@ class DialogueEnv(EnvBase):
             the first turn. (TorchRL's ``compile`` compiles all of ``step_and_maybe_reset``.)
         channel: the channel between user and tracker, made for the domain's tensors, instead of the
             errors above.
+        users: the name of a mix of users (``"people"``), or its
+            :class:`profiles <bbq_torchrl.simulator.Profile>`.
 
     Raises:
         ValueError: if a setting is out of range, the schedule never adds a slot that the agent has
@@ -114,6 +117,7 @@ class DialogueEnv(EnvBase):
         device: torch.device | str = "cpu",
         compile_turns: bool = False,
         channel: Channel | None = None,
+        users: Users = "paper",
     ) -> None:
         super().__init__(device=present_device(device), batch_size=checked_batch(batch_size))
         if slot_error_prob is None:
@@ -127,7 +131,9 @@ class DialogueEnv(EnvBase):
             channel = ErrorModel(tensors, slot_error_prob, slot_error_mode, intent_error_prob)
         rewards = Rewards(success_reward, failure_reward, turn_reward)
         self._compiles_turns = compile_turns
-        self._use(Simulator(tensors, errors=channel, rewards=rewards, max_turn=max_turn))
+        self._use(
+            Simulator(tensors, errors=channel, rewards=rewards, max_turn=max_turn, users=users)
+        )
         self._dialogues: TensorDict | None = None
         self._generator = torch.Generator(self.device)
         self._set_seed(seed)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from bbq_torchrl.options.registry import Option, register
 from bbq_torchrl.options.settings import (
@@ -13,6 +13,7 @@ from bbq_torchrl.options.settings import (
     NON_NEGATIVE_INTEGER,
     PROBABILITY,
     REWARD,
+    USERS,
     ConfigError,
     integers,
     one_of,
@@ -33,7 +34,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule
-    from bbq_torchrl.simulator import Channel
+    from bbq_torchrl.simulator import Channel, Profile
 
 
 @dataclass
@@ -153,6 +154,7 @@ class FullDomain(EnvOption):
     success_reward: float = setting(40.0, REWARD, "reward of a dialogue that succeeds")
     failure_reward: float = setting(-10.0, REWARD, "reward of a dialogue that fails")
     turn_reward: float = setting(-1.0, REWARD, "reward of a turn that does not end the dialogue")
+    users: Any = setting("paper", USERS, "simulated users: a mix by name, or its profiles")
     compile_turns: bool = setting(
         False, BOOLEAN, "compile turns by torch.compile, which takes up to a minute"
     )
@@ -160,7 +162,8 @@ class FullDomain(EnvOption):
     has_domain: ClassVar[bool] = True
 
     def check(self) -> None:
-        """Refuses error keys that would have no effect."""
+        """Refuses invalid users, and error keys that would have no effect."""
+        profiles = self._profiles()
         is_text = self.level == "text"
         if is_text and self.errors != "drawn":
             raise ConfigError(
@@ -177,6 +180,10 @@ class FullDomain(EnvOption):
         if not is_text and self.errors == "drawn":
             return
         source = "env.level=text" if is_text else "env.errors=measured"
+        if any(kind.slot_error_prob for kind in profiles):
+            raise ConfigError(
+                f"env.users must have no slot_error_prob with {source}, which has other errors"
+            )
         default = {item.name: item.default for item in fields(self)}
         for key in ("slot_error_prob", "slot_error_mode", "intent_error_prob"):
             if getattr(self, key) != default[key]:
@@ -185,6 +192,24 @@ class FullDomain(EnvOption):
                     f"{source}, which has other errors, got {getattr(self, key)}"
                 )
 
+    def _profiles(self, domain: Domain | None = None) -> tuple[Profile, ...]:
+        """Returns the profiles of the users; none for a mix by name.
+
+        Raises:
+            ConfigError: a profile is invalid, or the domain lacks a slot of it.
+        """
+        if isinstance(self.users, str):
+            return ()
+        from bbq_torchrl.simulator.profiles import check_slots, profiles_of
+
+        try:
+            profiles = profiles_of(self.users)
+            if domain is not None:
+                check_slots(profiles, domain.slots)
+        except ValueError as error:
+            raise ConfigError(f"env.{error}") from error
+        return profiles
+
     def _channel(self, domain: Domain) -> Channel | None:
         """Returns the error channel between user and tracker; None: the default of drawn errors.
 
@@ -192,6 +217,7 @@ class FullDomain(EnvOption):
             ConfigError: a file of the domain or a package is missing.
         """
         self.check()
+        self._profiles(domain)
         try:
             if self.level == "text":
                 from bbq_torchrl.envs.text import text_channel
@@ -209,7 +235,7 @@ class FullDomain(EnvOption):
             raise ConfigError(str(error)) from error
 
     def check_domain(self, domain: Domain | None) -> None:
-        """Refuses measured errors for a domain without counts."""
+        """Refuses measured errors for a domain without counts, and users' unknown slots."""
         assert domain is not None
         self._channel(domain)
 
@@ -265,6 +291,7 @@ class FullDomain(EnvOption):
             device=device,
             compile_turns=self.compile_turns,
             channel=self._channel(domain),
+            users=self.users,
         )
 
     def counted(self, env: EnvBase) -> Tensor:

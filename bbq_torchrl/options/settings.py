@@ -62,6 +62,9 @@ from bbq_torchrl.checks import (
     THREADS as THREADS,
 )
 from bbq_torchrl.checks import (
+    USERS as USERS,
+)
+from bbq_torchrl.checks import (
     Allowed as Allowed,
 )
 from bbq_torchrl.checks import (

@@ -6,6 +6,7 @@ from bbq_torchrl.simulator.error_model import Channel, ErrorModel, SlotErrorMode
 from bbq_torchrl.simulator.features import FeatureLayout
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 from bbq_torchrl.simulator.measured_errors import MeasuredErrors
+from bbq_torchrl.simulator.profiles import Profile
 from bbq_torchrl.simulator.rewards import Rewards
 from bbq_torchrl.simulator.simulator import Simulator
 from bbq_torchrl.simulator.tracker import Utterance
@@ -17,6 +18,7 @@ __all__ = [
     "FeatureLayout",
     "KnowledgeBase",
     "MeasuredErrors",
+    "Profile",
     "Rewards",
     "Simulator",
     "SlotErrorMode",

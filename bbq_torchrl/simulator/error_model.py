@@ -126,10 +126,15 @@ class ErrorModel(Movable):
         if agent is None:
             return Utterance(said.act, said.informs, said.requests)
         act = torch.where(is_silent, said.act, self.hear(said.act, draws))
-        return Utterance(act, self.distort(said.informs, draws, active), said.requests)
+        informs = self.distort(said.informs, draws, active, said.error_prob)
+        return Utterance(act, informs, said.requests)
 
     def distort(
-        self, informs: torch.Tensor, draws: TensorDictBase, active: torch.Tensor
+        self,
+        informs: torch.Tensor,
+        draws: TensorDictBase,
+        active: torch.Tensor,
+        error_prob: torch.Tensor | None = None,
     ) -> torch.Tensor:
         """Returns the informed values after errors: value ids, long ``[*B, S]``.
 
@@ -138,10 +143,15 @@ class ErrorModel(Movable):
             draws: uniform ``error``, ``error_kind``, ``error_slot`` and ``error_value``, each
                 float32 ``[*B, S]``.
             active: bool ``[S]``, the slots that a slot error can substitute.
+            error_prob: float32 ``[*B, S]``, probabilities that replace ``slot_error_prob`` where
+                they are not negative.
         """
-        if self.slot_error_prob == 0.0:
+        prob: float | torch.Tensor = self.slot_error_prob
+        if error_prob is not None:
+            prob = torch.where(error_prob < 0, prob, error_prob)
+        elif prob == 0.0:
             return informs
-        is_hit = (informs != NONE) & (draws["error"] < self.slot_error_prob)
+        is_hit = (informs != NONE) & (draws["error"] < prob)
         if self.slot_error_mode == "delete":
             return torch.where(is_hit, NONE, informs)
         if self.slot_error_mode == "value":

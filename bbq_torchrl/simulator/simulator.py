@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from copy import copy
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import TensorDict
@@ -12,18 +12,21 @@ from bbq_torchrl.domains.values import NO_MATCH, NONE
 from bbq_torchrl.simulator.error_model import ErrorModel
 from bbq_torchrl.simulator.features import Features
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
+from bbq_torchrl.simulator.mixed_user import MixedUser
+from bbq_torchrl.simulator.profiles import Mix, profiles_of
 from bbq_torchrl.simulator.rewards import Rewards
 from bbq_torchrl.simulator.tracker import Tracker, Utterance
 from bbq_torchrl.simulator.user import User
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
     from tensordict import TensorDictBase
 
     from bbq_torchrl.domains import DomainTensors
     from bbq_torchrl.simulator.error_model import Channel
     from bbq_torchrl.simulator.features import FeatureLayout
+    from bbq_torchrl.simulator.profiles import Users
     from bbq_torchrl.simulator.tracker import AgentTurn
 
 _ACTS_PER_TURN = 2
@@ -75,9 +78,13 @@ class Simulator:
             :class:`~bbq_torchrl.simulator.ErrorModel`; ``None``: no errors.
         rewards: the rewards of a turn.
         max_turn: acts of both sides after which a dialogue fails, at least 2.
+        users: the name of a mix of users, or its
+            :class:`profiles <bbq_torchrl.simulator.Profile>`. Users that differ have their traits
+            in the state's entry ``traits``.
 
     Raises:
-        ValueError: if ``max_turn`` is not a whole number of at least 2.
+        ValueError: if ``max_turn`` is not a whole number of at least 2, the mix is invalid, or it
+            has error rates by slot and the channel is not an error model.
     """
 
     def __init__(
@@ -87,6 +94,7 @@ class Simulator:
         errors: Channel | None = None,
         rewards: Rewards | None = None,
         max_turn: int = 40,
+        users: Users = "paper",
     ) -> None:
         if max_turn % 1 or max_turn < _ACTS_PER_TURN:
             raise ValueError(
@@ -94,14 +102,27 @@ class Simulator:
             )
         self.rewards = Rewards() if rewards is None else rewards
         self.max_turn = max_turn
-        knowledge_base = KnowledgeBase(domain.to("cpu")).to(domain.records.device)
-        self._build(domain, knowledge_base, ErrorModel(domain) if errors is None else errors)
+        device, on_cpu = domain.records.device, domain.to("cpu")
+        knowledge_base = KnowledgeBase(on_cpu).to(device)
+        errors = ErrorModel(domain) if errors is None else errors
+        profiles = profiles_of(users)
+        mix = Mix(on_cpu, profiles).to(device) if profiles else None
+        if mix is not None and mix.has_rates and not isinstance(errors, ErrorModel):
+            raise ValueError("users with slot_error_prob need a channel that is an ErrorModel")
+        self._build(domain, knowledge_base, errors, mix)
 
-    def _build(self, domain: DomainTensors, knowledge_base: KnowledgeBase, errors: Channel) -> None:
+    def _build(
+        self,
+        domain: DomainTensors,
+        knowledge_base: KnowledgeBase,
+        errors: Channel,
+        mix: Mix | None,
+    ) -> None:
         self.domain = domain
         self.knowledge_base = knowledge_base
         self.errors = errors
-        self.user = User(domain)
+        self.mix = mix
+        self.user = User(domain) if mix is None else MixedUser(domain, mix)
         self.tracker = Tracker(domain, knowledge_base)
         self.features = Features(domain, knowledge_base)
         self._is_ticket = torch.arange(domain.n_slots, device=self.device) == domain.ticket
@@ -109,7 +130,10 @@ class Simulator:
     def to(self, device: torch.device | str) -> Simulator:
         """Returns a copy with every tensor on ``device``."""
         moved = copy(self)
-        moved._build(self.domain.to(device), self.knowledge_base.to(device), self.errors.to(device))
+        mix = None if self.mix is None else self.mix.to(device)
+        moved._build(
+            self.domain.to(device), self.knowledge_base.to(device), self.errors.to(device), mix
+        )
         return moved
 
     @property
@@ -143,11 +167,14 @@ class Simulator:
 
         Returns:
             A TensorDict ``[*B]`` of float32 in [0, 1): ``goal`` ``[*B]``, ``constraint`` and
-            ``request`` ``[*B, S]``; and the channel's numbers if it can mishear the opening.
+            ``request`` ``[*B, S]``; the channel's numbers if it can mishear the opening; and those
+            of the users' traits.
         """
-        errors, with_channel = self.errors, self.errors.mishears_all
-        per_slot = ("constraint", "request", *(errors.slot_draws if with_channel else ()))
-        per_dialogue = ("goal", *(errors.draws if with_channel else ()))
+        per_slot, per_dialogue = ["constraint", "request"], ["goal"]
+        sources = [self.errors] if self.errors.mishears_all else []
+        for source in (*sources, *([] if self.mix is None else [self.mix])):
+            per_slot += source.slot_draws
+            per_dialogue += source.draws
         return self._draw(per_slot, per_dialogue, batch_shape, generator)
 
     def draw_turn(
@@ -201,7 +228,7 @@ class Simulator:
         no_slot = torch.zeros_like(first["requests"])
         no_number = torch.zeros_like(act)
         no = torch.zeros_like(act, dtype=torch.bool)
-        said = Utterance(act, informs, first["pending"])
+        said = self._said(first)
         heard = self.errors.transmit(said, None, act, no, draws, active)
         return TensorDict(
             {
@@ -246,13 +273,16 @@ class Simulator:
         was_done = state["done"]
         agent = self.tracker.complete(state["held"], action)
         turn = torch.where(was_done, state["turn"], state["turn"] + _ACTS_PER_TURN)
-        is_over = was_done | (turn + _ACTS_PER_TURN * state["repeats"] > self.max_turn)
+        limit = self.max_turn
+        if self.mix is not None:
+            limit = state["traits", "limit"].clamp(max=self.max_turn)
+        is_over = was_done | (turn + _ACTS_PER_TURN * state["repeats"] > limit)
         reply = self.user.reply(state, agent, is_over, draws)
         is_done = is_over | agent.is_end
         success = torch.where(
             was_done, state["success"], self._is_success(state, agent, reply) & ~is_over
         )
-        said = Utterance(reply["user_act"], reply["meant_informs"], reply["pending"])
+        said = self._said(reply)
         heard = self.errors.transmit(said, agent, state["heard_act"], is_done, draws, active)
         reward = self.rewards.of(was_done, is_done, success)
         repeats = state["repeats"]
@@ -294,6 +324,14 @@ class Simulator:
             },
             batch_size=state.batch_size,
             device=self.device,
+        )
+
+    def _said(self, reply: Mapping[str, Any]) -> Utterance:
+        """Returns the users' utterance."""
+        has_rates = self.mix is not None and self.mix.has_rates
+        rates = reply["traits"]["error_prob"] if has_rates else None
+        return Utterance(
+            reply["user_act"], reply["meant_informs"], reply["pending"], error_prob=rates
         )
 
     def play(

@@ -78,12 +78,15 @@ class Utterance:
         requests: bool ``[*B, S]``, the slots requested.
         repeats: long ``[*B]``, in an utterance heard: how often the user was asked to repeat it;
             ``None``: never.
+        error_prob: float32 ``[*B, S]``, in an utterance said: the probability of an error in each
+            slot; negative for that of the channel, ``None``: everywhere.
     """
 
     act: torch.Tensor
     informs: torch.Tensor
     requests: torch.Tensor
     repeats: torch.Tensor | None = None
+    error_prob: torch.Tensor | None = None
 
 
 class Tracker:

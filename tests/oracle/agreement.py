@@ -40,7 +40,9 @@ class Comparison:
         errors = ErrorModel(
             tensors, setting.slot_error_prob, setting.slot_error_mode, setting.intent_error_prob
         )
-        self.simulator = Simulator(tensors, errors=errors, max_turn=setting.max_turn).to(device)
+        self.simulator = Simulator(
+            tensors, errors=errors, max_turn=setting.max_turn, users=setting.users or "paper"
+        ).to(device)
         self.world = World(domain, setting)
         self.active = torch.tensor([s in self.world.active for s in domain.slots], device=device)
         self.coding = Coding(tensors)
@@ -81,7 +83,8 @@ class Comparison:
 
     def compare(self, dialogues: list[Dialogue], going: list[int], state: TensorDict) -> None:
         """Asserts that state and features of these dialogues equal the simulator's."""
-        got = {key: value.flatten(0, 1)[going].cpu() for key, value in state.items()}
+        acts = state.exclude("traits")  # which the oracle draws in its own way
+        got = {key: value.flatten(0, 1)[going].cpu() for key, value in acts.items()}
         features = self.simulator.observe(state, self.active)
         got["features"] = features.flatten(0, 1)[going].cpu()
         states = [self.state_of(dialogues[number]) for number in going]
@@ -138,6 +141,6 @@ def rows_of(draws: TensorDict, numbers: list[int]) -> list[dict[str, Any]]:
 def assert_ended_dialogues_stay(before: TensorDict, after: TensorDict) -> None:
     """Asserts that an ended dialogue stays unchanged, without further reward."""
     ended = before["done"]
-    for key, value in after.items():
+    for key, value in after.items(True, True):
         stays = torch.zeros_like(before[key]) if key == "reward" else before[key]
         assert torch.equal(value[ended], stays[ended]), f"{key} changes after the end"

@@ -10,6 +10,7 @@ from .draws import Draws, choose_index
 from .features import features
 from .knowledge_base import Records
 from .noise import Noise
+from .person import Person
 from .tracker import Tracker
 from .user import User
 from .values import plain
@@ -17,6 +18,7 @@ from .values import plain
 if TYPE_CHECKING:
     from bbq_torchrl.domains.domain import Domain
     from bbq_torchrl.domains.parts import Action
+    from bbq_torchrl.simulator import Profile
 
 SUCCESS_REWARD = 40.0
 FAILURE_REWARD = -10.0
@@ -28,7 +30,7 @@ def value_order_of(domain: Domain) -> dict[str, list[str]]:
     order: dict[str, dict[str, None]] = {slot: {} for slot in domain.slots}
     for slot, values in domain.error_values.items():
         order[slot].update(dict.fromkeys(plain(value) for value in values))
-    for row in domain.records:
+    for row in (*domain.records, *(goal.constraints for goal in domain.goals)):
         for slot, value in row.items():
             order[slot][plain(value)] = None
     return {slot: list(values) for slot, values in order.items()}
@@ -44,6 +46,7 @@ class Setting:
     max_turn: int = 40
     active: tuple[str, ...] | None = None
     extension: int | None = None
+    users: tuple[Profile, ...] = ()
 
     def active_slots(self, domain: Domain) -> list[str]:
         """Returns the slots active in this setting, in slot order."""
@@ -65,7 +68,8 @@ class World:
         self.action_names = [str(action) for action in domain.actions]
         self.active = set(setting.active_slots(domain))
         self.fired: Counter[str] = Counter()
-        self.records = Records(domain.records, domain.free_slots, value_order_of(domain))
+        self.value_order = value_order_of(domain)
+        self.records = Records(domain.records, domain.free_slots, self.value_order)
         self.noise = Noise(self)
 
     def legal_actions(self) -> list[int]:
@@ -84,7 +88,8 @@ class Dialogue:
         goals = world.domain.goals
         self.world = world
         self.goal_number = choose_index(draws["goal"], len(goals))
-        self.user = User(world, goals[self.goal_number], draws)
+        kind = Person if world.setting.users else User
+        self.user = kind(world, goals[self.goal_number], draws)
         self.tracker = Tracker(world)
         self.tracker.hear(self.user.act, self.user.informs, self.user.pending)
         self.meant_informs = dict(self.user.informs)
@@ -101,8 +106,9 @@ class Dialogue:
         offered = self._offered(slot) if kind == "multiple_choice" else []
         self.tracker.speak(kind, act, slot)
         self.turn_count += 2
-        if self.turn_count > self.world.setting.max_turn:
-            self.world.fired["end: out of turns"] += 1
+        if self.turn_count > min(self.world.setting.max_turn, self.user.leaves_after):
+            is_patient = self.turn_count > self.world.setting.max_turn
+            self.world.fired["end: out of " + ("turns" if is_patient else "patience")] += 1
             self._end(success=False)
             return
         self.user.remember_last_act()
@@ -113,7 +119,7 @@ class Dialogue:
         self.reward = TURN_REWARD
         self.meant_informs = dict(self.user.informs)
         heard_act, self.user.informs = self.world.noise.transmit(
-            self.user.act, self.user.informs, draws
+            self.user.act, self.user.informs, draws, self.user.error_prob
         )
         self.tracker.hear(heard_act, self.user.informs, self.user.pending)
 

@@ -8,6 +8,8 @@ from .draws import Draws, choose_index
 from .values import plain
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from .dialogue import World
 
 
@@ -25,7 +27,7 @@ class Noise:
         }
 
     def transmit(
-        self, act: str, informs: dict[str, str], draws: Draws
+        self, act: str, informs: dict[str, str], draws: Draws, rates: Mapping[str, float]
     ) -> tuple[str, dict[str, str]]:
         """Returns the act and the informs as the tracker hears them."""
         heard: dict[str, str] = {}
@@ -33,7 +35,7 @@ class Noise:
         for number, slot in enumerate(self.slots):
             if slot not in informs:
                 continue
-            if draws["error"][number] >= self.setting.slot_error_prob:
+            if draws["error"][number] >= rates.get(slot, self.setting.slot_error_prob):
                 heard[slot] = informs[slot]
                 continue
             mode = self.setting.slot_error_mode

@@ -10,6 +10,8 @@ import pytest
 import torch
 
 from bbq_torchrl.domains import Goal, load_miulab
+from bbq_torchrl.simulator import Profile
+from bbq_torchrl.simulator.profiles import MIXES
 
 from .agreement import Comparison
 from .dialogue import Setting
@@ -27,6 +29,19 @@ SETTINGS = (
     Setting(slot_error_prob=0.3, slot_error_mode="slot", extension=0),
     Setting(slot_error_prob=0.3, slot_error_mode="mixed", extension=4),
 )
+ANY = {"insists": 0.5, "asks_late": 0.5, "confirms": 0.5, "withholds": 0.5, "explains": 0.5}
+PEOPLE = (
+    Profile(0.2),
+    Profile(0.5, (5, 20), (1, 3), changes_mind=0.7, **ANY),
+    Profile(0.3, None, (2, 9), **ANY, slot_error_prob={"date": 0.6, "moviename": 0.0}),
+)
+USERS = (
+    Setting(users=PEOPLE),
+    Setting(users=MIXES["people"], slot_error_prob=0.15, intent_error_prob=0.1),
+    Setting(users=PEOPLE, slot_error_prob=0.3, slot_error_mode="mixed", extension=4, max_turn=23),
+)
+"""Settings with users that differ."""
+
 FEW = SETTINGS[2::3]
 """Settings with errors in slots and acts, a short dialogue, and domain extension."""
 
@@ -45,6 +60,27 @@ RARE_RULES = {
 
 RULES = rules_at_work() - RARE_RULES
 """Rules of the user, the errors and the tracker that apply in the movie domain."""
+
+PERSON_RULES = {
+    "end: out of patience",
+    *(
+        f"person: {rule}"
+        for rule in (
+            "keeps its questions",
+            "yes to a value",
+            "yes to a question",
+            "changes its mind",
+            "denies a value",
+            "explains",
+            "asks again",
+            "asks after the offer",
+            "thanks after the last answer",
+            "tells less",
+            "tells more",
+        )
+    ),
+}
+"""The ways in which users differ from the agenda-based user."""
 
 BOOKS = {"offer: thanks, available"}
 
@@ -74,6 +110,14 @@ def test_the_simulator_agrees_with_the_oracle_where_several_slots_open_a_dialogu
     assert_at_work({"open: the opening slot"}, play(several, 40, seed=600, settings=FEW))
     none = replace(restaurant, opening_slot=())
     assert play(none, 20, seed=700, settings=FEW)["open: the opening slot"] == 0
+
+
+def test_the_simulator_agrees_with_the_oracle_on_users_that_differ(movie, restaurant):
+    played = play(movie, 400, seed=800, settings=USERS)
+    assert_at_work(PERSON_RULES, played)
+    assert_at_work(BOOKS, play(many_wishes(), 200, seed=900, settings=USERS))
+    few = [replace(setting, users=MIXES["mixed"]) for setting in FEW]
+    assert_at_work(BOOKS, play(restaurant, 80, seed=950, settings=few))
 
 
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")

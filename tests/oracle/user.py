@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from .draws import Draws, choose_index, choose_slot
 from .values import AVAILABLE, DONT_CARE, NO_MATCH, plain
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
+    from collections.abc import Collection, Mapping
 
     from bbq_torchrl.domains import Goal
 
@@ -21,6 +22,9 @@ class User:
     `act`, `informs` and `pending` (its requests) are its last act. `informs` has the values meant
     until errors are applied, then the values transmitted.
     """
+
+    leaves_after = math.inf
+    error_prob: Mapping[str, float] = {}
 
     def __init__(self, world: World, goal: Goal, draws: Draws) -> None:
         self.constraints = {
