@@ -38,8 +38,10 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains.parts import Goal
 
-MOVIE_FOLDER = Path(__file__).parent / "movie"
-"""The folder of the movie domain that comes with the package."""
+SHIPPED = {name: Path(__file__).parent / name for name in ("movie", "hotel", "restaurant")}
+"""Domain that comes with the package -> its folder."""
+
+MOVIE_FOLDER = SHIPPED["movie"]
 
 
 def load_domain(path: str | Path) -> Domain:
@@ -91,6 +93,11 @@ def load_domain(path: str | Path) -> Domain:
 
 
 @functools.cache
+def shipped_domain(name: str) -> Domain:
+    """Returns one of the :data:`SHIPPED` domains."""
+    return load_domain(SHIPPED[name])
+
+
 def movie_domain() -> Domain:
     """Returns the movie-booking domain that comes with the package.
 
@@ -101,7 +108,7 @@ def movie_domain() -> Domain:
         >>> str(domain.actions[domain.action_index("inform(ticket)")])
         'inform(ticket)'
     """
-    return load_domain(MOVIE_FOLDER)
+    return shipped_domain("movie")
 
 
 def save_data(

@@ -41,8 +41,9 @@ _OF_DIALOGUES = (
 )
 """Prefixes of the keys that determine the dialogues."""
 
+_PUBLIC = ("movie", "miulab", "hotel", "restaurant")
 _FOUND_SCRIPT = {"rule": "rule", "best": "repair"}
-"""``spike`` -> the script that ``spike.policy=null`` finds in the movie and MiuLab domains."""
+"""``spike`` -> the script that ``spike.policy=null`` finds in the public domains."""
 
 NO_PARTNER = (
     "no replica has a partner (one of the same number in a run of the same seed, number of "
@@ -128,7 +129,7 @@ def _with_script(setting: Mapping[str, Any]) -> dict[str, Any]:
     if "spike.policy" not in setting or setting["spike.policy"] is not None:
         return {**setting}
     spike = str(setting.get("spike.name"))
-    found = _FOUND_SCRIPT.get(spike) if setting.get("domain.name") in ("movie", "miulab") else spike
+    found = _FOUND_SCRIPT.get(spike) if setting.get("domain.name") in _PUBLIC else spike
     return {**setting, "spike.policy": found}
 
 

@@ -28,18 +28,39 @@ class DomainOption(Option):
         """
 
 
+@dataclass
+class ShippedDomain(DomainOption):
+    """A corpus that ships with the package."""
+
+    def make(self) -> Domain:
+        """Loads the corpus."""
+        from bbq_torchrl.domains import shipped_domain
+
+        return shipped_domain(self.name)
+
+
 @register
 @dataclass
-class MovieDomain(DomainOption):
+class MovieDomain(ShippedDomain):
     """The movie-booking corpus that ships with the package."""
 
     name: str = option("movie")
 
-    def make(self) -> Domain:
-        """Loads the corpus."""
-        from bbq_torchrl.domains import movie_domain
 
-        return movie_domain()
+@register
+@dataclass
+class HotelDomain(ShippedDomain):
+    """Rooms in hotels, with the slots of MultiWOZ's hotels and values of our making."""
+
+    name: str = option("hotel")
+
+
+@register
+@dataclass
+class RestaurantDomain(ShippedDomain):
+    """Tables in restaurants, with the slots of MultiWOZ's restaurants and values of our making."""
+
+    name: str = option("restaurant")
 
 
 @register
