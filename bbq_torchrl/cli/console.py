@@ -14,6 +14,7 @@ COMMANDS = {
     "evaluate": ("bbq_torchrl.cli.evaluate", "play dialogues with a run or a scripted policy"),
     "search": ("bbq_torchrl.search.__main__", "search for hyper-parameters"),
     "report": ("bbq_torchrl.evaluation.report", "compare finished runs over their seeds"),
+    "bench": ("bbq_torchrl.cli.bench", "compare agents on domains, error levels and seeds"),
     "domains": ("bbq_torchrl.cli.calibrate", "import a corpus as a domain, calibrate a domain"),
     "language": (
         "bbq_torchrl.people.language.__main__",

@@ -207,6 +207,33 @@ def draw_panels(
     return _finished(figure, axes[: len(panels)])
 
 
+def draw_bands(panels: Mapping[str, Mapping[str, Any]], *, title: str, xlabel: str) -> Figure:
+    """Draws a panel of curves with bands for each mapping.
+
+    Args:
+        panels: heading -> label -> places, values, lower and upper ends, shape [4, points]; NaN
+            ends leave out the band.
+        title: the heading.
+        xlabel: label of the places.
+    """
+    columns = min(3, len(panels))
+    figure, grid = _axes(rows=-(-len(panels) // columns), columns=columns)
+    axes = list(np.atleast_1d(grid).flat)
+    labels = list(dict.fromkeys(label for curves in panels.values() for label in curves))
+    colors = dict(zip(labels, _colors(len(labels)), strict=True))
+    for panel, (heading, curves) in zip(axes, panels.items(), strict=False):
+        for label, (places, values, low, high) in curves.items():
+            color, name = colors[label], label if label in labels else None
+            panel.plot(places, values, color=color, lw=1.8, label=name)
+            panel.fill_between(places, low, high, color=color, alpha=0.12, lw=0)
+            labels = [other for other in labels if other != label]  # each is in the legend once
+        panel.set(title=heading, xlabel=xlabel, ylim=(0, 1))
+    for panel in axes[len(panels) :]:
+        panel.remove()
+    figure.suptitle(title)
+    return _finished(figure, axes[: len(panels)])
+
+
 def _colors(count: int) -> Sequence[Any]:
     """Returns colors of groups; for many groups a color scale."""
     if count <= len(COLORS):

@@ -12,10 +12,10 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import stats
+from scipy import special, stats
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 CONFIDENCE = 0.95
 """Confidence level of every interval."""
@@ -205,3 +205,89 @@ def holm(p_values: Sequence[float]) -> list[float]:
         largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[index]))
         adjusted[index] = largest
     return adjusted
+
+
+def pass_k(successes: Any, plays: Any, k: int) -> Any:
+    """Returns pass^k: the probability that an agent reaches the same goal ``k`` times in a row.
+
+    Yao et al. (2024, "tau-bench"): the mean over goals of C(c, k) / C(n, k), the unbiased estimate
+    from c successes in n plays. Goals with fewer than ``k`` plays are left out.
+
+    Args:
+        successes: number of successes, shape [..., goals].
+        plays: number of plays, the same shape.
+        k: number of plays that must all succeed.
+
+    Returns:
+        Shape [...]; NaN if no goal was played ``k`` times.
+
+    Examples:
+        >>> [float(pass_k([4, 2], [4, 4], k)) for k in (1, 2)]
+        [0.75, 0.5833333333333334]
+    """
+    successes, plays = np.asarray(successes), np.asarray(plays)
+    counts = plays >= k
+    shares = special.comb(successes, k) / np.where(counts, special.comb(plays, k), 1)
+    goals = counts.sum(-1)
+    return np.where(goals > 0, np.where(counts, shares, 0).sum(-1) / np.maximum(goals, 1), np.nan)
+
+
+def probability_of_improvement(one: Any, other: Any) -> Any:
+    """Returns the probability that a run of one agent scores higher than a run of the other.
+
+    Agarwal et al. (2021): the mean over settings; a tie counts one half.
+
+    Args:
+        one: scores, shape [..., settings, seeds].
+        other: scores, shape [..., settings, seeds].
+
+    Examples:
+        >>> float(probability_of_improvement([[0.1, 0.3]], [[0.2, 0.3]]))
+        0.375
+    """
+    left, right = np.asarray(one)[..., :, None], np.asarray(other)[..., None, :]
+    return ((left > right) + 0.5 * (left == right)).mean((-3, -2, -1))
+
+
+def performance_profile(scores: Any, levels: Any) -> Any:
+    """Returns the share of runs that score more than each level (Agarwal et al. 2021).
+
+    Args:
+        scores: shape [..., settings, seeds].
+        levels: shape [levels].
+
+    Returns:
+        Shape [..., levels].
+
+    Examples:
+        >>> performance_profile([[0.2, 0.6]], [0.0, 0.5, 0.9]).tolist()
+        [1.0, 0.5, 0.0]
+    """
+    return np.stack([(np.asarray(scores) > level).mean((-2, -1)) for level in levels], -1)
+
+
+def stratified(statistic: Callable[..., Any], *scores: Any, resamples: int = 2_000) -> Any:
+    """Returns a statistic's 95 % interval by a bootstrap that draws seeds within each setting.
+
+    The stratified percentile bootstrap of Agarwal et al. (2021); groups are drawn independently.
+
+    Args:
+        statistic: from arrays [resamples, settings, seeds] to [resamples, ...].
+        scores: a group's scores, shape [settings, seeds]; one array for each argument.
+        resamples: number of bootstrap samples.
+
+    Returns:
+        Shape [2, ...]; NaN with fewer than five seeds.
+    """
+    rng = np.random.default_rng(0)
+    drawn = [
+        np.take_along_axis(
+            np.asarray(group)[None],
+            rng.integers(len(group[0]), size=(resamples, *np.shape(group))),
+            -1,
+        )
+        for group in scores
+    ]
+    ends = np.quantile(statistic(*drawn), [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], axis=0)
+    enough = min(np.shape(group)[-1] for group in scores) >= MIN_BOOTSTRAP
+    return ends if enough else np.full_like(ends, np.nan)

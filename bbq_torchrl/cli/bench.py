@@ -1,0 +1,365 @@
+"""``bbq bench``: trains agents on several domains, error levels and seeds, and compares them.
+
+A cell is an agent in a setting (a domain at an error level): a run folder with a replica for each
+seed, trained to the largest budget by the pipeline of ``bbq train``.
+"""
+
+from __future__ import annotations
+
+if __name__ == "__main__":  # before anything that takes time to import
+    from bbq_torchrl.utils import interruption
+
+    interruption.listen()
+
+import logging
+import math
+import re
+import shlex
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from bbq_torchrl.options.registry import EXPERIMENT, load_folder, options
+from bbq_torchrl.options.settings import ConfigError
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.overrides import key_of, refuse_second_folder, train_command
+from bbq_torchrl.utils import interruption, output
+from bbq_torchrl.utils.output import between, page
+from bbq_torchrl.utils.text import sentence, shown
+
+if TYPE_CHECKING:
+    from argparse import Namespace
+    from collections.abc import Sequence
+
+    from bbq_torchrl.evaluation.bench import Setting
+    from bbq_torchrl.options import Config
+    from bbq_torchrl.runs.checks import Checked
+
+_LOG = logging.getLogger(__name__)
+
+DOMAINS = ("movie", "hotel", "restaurant", "miulab")
+ERRORS = ("0", "reference", "0.2")
+BUDGETS = (500, 1_000, 2_000, 7_500)
+SEEDS = 10
+
+PLAYS = 20
+"""Mean number of plays of a goal for pass^k: fewer than 8 are rare."""
+
+_PLAYED = "plays.json"
+_SET = (
+    *("seed", "replicas", "resume", "domain", "env.slot_error_prob"),
+    *("protocol.rounds", "protocol.eval_every"),
+)
+"""Keys that the bench sets."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """An agent in a setting.
+
+    Attributes:
+        agent: the agent's name.
+        setting: domain and error level.
+        folder: the run folder.
+        overrides: those of ``bbq train``.
+        config: their configuration.
+    """
+
+    agent: str
+    setting: Setting
+    folder: Path
+    overrides: tuple[str, ...]
+    config: Config
+
+    @property
+    def name(self) -> str:
+        """Such as ``dqn on movie, errors 0``."""
+        return f"{self.agent} on {self.setting[0]}, errors {self.setting[1]}"
+
+    @property
+    def command(self) -> str:
+        """The command that trains the cell by itself."""
+        return shlex.join([*train_command(), *self.overrides])
+
+
+@output.refusing
+def main(arguments: Sequence[str] | None = None) -> int:
+    """Runs the command line. Returns the exit code: 1 if a cell is missing at the end."""
+    arguments = sys.argv[1:] if arguments is None else list(arguments)
+    interruption.tell(lambda: "in a benchmark", lambda: "the same command continues it")
+    given = _parser().parse_args(arguments)
+    refuse_second_folder(arguments)
+    if given.config_dir is not None:
+        load_folder(given.config_dir)
+    agents, domains = _agents(given.agents), _domains(given.domains)
+    _refuse_set(given.set)
+    cells = [
+        cell
+        for agent, overrides in agents.items()
+        for cell in _cells(given, agent, [*given.set, *overrides], domains)
+    ]
+    checked = [_checked(cell, is_trained=not given.page) for cell in cells]
+    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
+    reasons = {}
+    try:
+        for number, (cell, one) in enumerate(zip(cells, checked, strict=True), 1):
+            if one is not None:
+                _LOG.info("cell %d of %d: %s", number, len(cells), cell.name)
+                reasons[cell.name] = _play(cell, one)
+    except interruption.Interrupted:
+        output.print_error(interruption.line())
+        return interruption.exit_code()
+    missing = [
+        f"{cell.name} ({reasons.get(cell.name) or 'not trained'})"
+        for cell in cells
+        if not _is_played(cell)
+    ]
+    output.write(_write(given, shlex.join(["bbq", "bench", *arguments]), cells, missing))
+    return 1 if missing else 0
+
+
+def _parser() -> output.Parser:
+    parser = output.Parser(
+        prog="bbq bench",
+        description="Trains agents on several domains, error levels and seeds, and compares them.\n"
+        "The same command continues; several at once share the cells.\n"
+        f"Put your agent on the table: {page('bench')}",
+    )
+    parser.add_argument("folder", type=Path, help="folder of the cells, the page and its data")
+    parser.add_argument(
+        "--agents",
+        nargs="+",
+        default=[],
+        help="recipes, such as bbqn_map or baselines/double_dqn, or of your own: "
+        "'<name>: agent=<option> <key>=<value> ...'",
+    )
+    parser.add_argument(
+        "--domains",
+        nargs="+",
+        default=list(DOMAINS),
+        help="options of domain=, with their folder if they need one: miulab=<folder>, "
+        "folder=<domain folder>; default: %(default)s (miulab only with its folder)",
+    )
+    parser.add_argument(
+        "--errors",
+        nargs="+",
+        type=_error,
+        default=list(ERRORS),
+        help="slot error probabilities, or reference: the domain's calibrated one; default: "
+        "%(default)s",
+    )
+    parser.add_argument(
+        "--budgets",
+        nargs="+",
+        type=between(int, 1, 10**7),
+        default=list(BUDGETS),
+        help="numbers of training dialogues; default: %(default)s",
+    )
+    parser.add_argument(
+        "--seeds", type=between(int, 1, 10_000), default=SEEDS, help="default: %(default)s"
+    )
+    parser.add_argument("--seed", type=between(int, 0, 2**63 - 1), default=1, help="of all seeds")
+    parser.add_argument(
+        "--set", nargs="+", default=[], help="keys of bbq train for all cells, as protocol=quick"
+    )
+    parser.add_argument("--page", action="store_true", help="write the page only, train nothing")
+    parser.add_argument("--config-dir", type=Path, help="folder of your own options")
+    return parser
+
+
+def _error(text: str) -> str:
+    return text if text == "reference" else f"{between(float, 0, 1)(text):g}"
+
+
+def _agents(given: Sequence[str]) -> dict[str, list[str]]:
+    """Returns name -> overrides of ``bbq train``."""
+    known = options(EXPERIMENT)
+    names = ", ".join(name.removeprefix("agents/") for name in known if "agents/" in name)
+    if not given:
+        raise ConfigError(
+            f"--agents must name at least one agent: a recipe ({names}, ...) or "
+            "'<name>: <key>=<value> ...'"
+        )
+    agents: dict[str, list[str]] = {}
+    for text in given:
+        name, colon, own = text.partition(":")
+        recipe = next((one for one in (f"agents/{name}", name) if one in known), None)
+        if colon and re.fullmatch(r"[\w.+-]+", name):
+            overrides = shlex.split(own)
+            _refuse_set(overrides)
+        elif recipe and not colon:
+            name, overrides = name.replace("/", "_"), [f"+{EXPERIMENT}={recipe}"]
+        else:
+            raise ConfigError(
+                f"--agents must have recipes ({names}, ...) or '<name>: <key>=<value> ...', got "
+                f"{shown(text)}"
+            )
+        if name in agents:
+            raise ConfigError(f"--agents must have distinct names, got {name} twice")
+        agents[name] = overrides
+    return agents
+
+
+def _refuse_set(overrides: Sequence[str]) -> None:
+    for item in overrides:
+        if key_of(item) in _SET or key_of(item).startswith(("domain.", "hydra")):
+            raise ConfigError(
+                f"{sentence(item)} cannot be given to a bench, which sets {', '.join(_SET)} itself"
+            )
+
+
+def _domains(given: Sequence[str]) -> dict[str, list[str]]:
+    """Returns name -> overrides; a domain in a folder has the folder's name."""
+    domains: dict[str, list[str]] = {}
+    for text in given:
+        option, has_path, path = text.partition("=")
+        if option == "miulab" and not has_path and list(given) == list(DOMAINS):
+            continue
+        name = Path(path).resolve().name if option == "folder" else option
+        if name in domains:
+            raise ConfigError(f"--domains must have distinct names, got {name} twice")
+        domains[name] = [f"domain={option}", *([f"domain.path='{path}'"] if has_path else [])]
+    return domains
+
+
+def _cells(
+    given: Namespace, agent: str, overrides: list[str], domains: dict[str, list[str]]
+) -> list[Cell]:
+    """Returns the cells of an agent, with the refusals of their configurations."""
+    budgets = given.budgets = sorted(set(given.budgets))
+    dialogues = compose(overrides).protocol.dialogues
+    if uneven := [budget for budget in budgets if budget % dialogues]:
+        raise ConfigError(
+            f"--budgets must be multiples of a round's {dialogues} dialogues "
+            f"(protocol.dialogues), got {', '.join(map(str, uneven))}"
+        )
+    shared = [
+        *overrides,
+        f"seed={given.seed}",
+        f"replicas={given.seeds}",
+        f"protocol.rounds={budgets[-1] // dialogues}",
+        f"protocol.eval_every={math.gcd(*budgets) // dialogues}",
+    ]
+    cells = []
+    for domain, own in domains.items():
+        for errors in dict.fromkeys(given.errors):
+            chance = "null" if errors == "reference" else errors
+            whole = (*shared, *own, f"env.slot_error_prob={chance}")
+            folder = given.folder / domain / f"errors_{errors}" / agent
+            cells.append(Cell(agent, (domain, errors), folder, whole, compose(whole)))
+    return cells
+
+
+def _checked(cell: Cell, *, is_trained: bool) -> Checked | None:
+    """Checks a cell as ``bbq train`` would, and the run in its folder; None if not to be trained."""
+    from bbq_torchrl.runs.checks import check
+    from bbq_torchrl.runs.resume import restarted_config
+
+    try:
+        restarted_config(cell.config, cell.folder, way="choose another folder for this bench")
+        return check(cell.config) if is_trained else None
+    except (ValueError, OSError) as error:
+        raise ConfigError(f"{cell.name}: {sentence(error)}") from error
+
+
+def _play(cell: Cell, checked: Checked) -> str:
+    """Trains a cell and plays its goals again and again. Returns why it could not; else empty."""
+    from bbq_torchrl.evaluation.results import write_json
+    from bbq_torchrl.runs.folders import run_lock
+    from bbq_torchrl.runs.resume import is_finished, restarted_config
+    from bbq_torchrl.runs.train import run
+    from bbq_torchrl.trainers import TrainingError
+
+    try:
+        with run_lock(cell.folder):
+            config = restarted_config(cell.config, cell.folder)
+            if not is_finished(cell.folder, config.protocol.rounds):
+                run(config, cell.folder, domain=checked.domain, spiking=checked.spiking)
+            if not _is_played(cell):
+                write_json(_plays(cell), cell.folder / _PLAYED)
+    except (TrainingError, ConfigError) as error:  # also another process at work in the folder
+        return sentence(error)
+    return ""
+
+
+def _is_played(cell: Cell) -> bool:
+    return (cell.folder / _PLAYED).is_file()
+
+
+def _plays(cell: Cell) -> dict[str, Any]:
+    """Plays a trained cell's goals. Returns plays and successes, [replicas, goals] each."""
+    import torch
+
+    from bbq_torchrl.evaluation.rollouts import evaluation_rollouts
+    from bbq_torchrl.runs.loading import load_run
+    from bbq_torchrl.trainers import derive_seed, episode_stats
+
+    config = cell.config
+    goals = len(config.domain.make().goals)
+    dialogues = PLAYS * goals
+    places = config.protocol.places(dialogues, config.replicas)
+    env, policy, *_ = load_run(cell.folder, dialogues=places, device=config.device)
+    plays, wins = torch.zeros(2, config.replicas, goals, dtype=torch.int64, device=config.device)
+    seed = derive_seed(config.seed, "pass^k")
+    for batch in evaluation_rollouts(
+        env, policy, dialogues, seed=seed, max_steps=config.env.steps()
+    ):
+        goal, success = batch["goal_id"][..., 0, 0], episode_stats(batch).success.long()
+        plays.scatter_add_(-1, goal, torch.ones_like(goal))
+        wins.scatter_add_(-1, goal, success)
+    return {"plays": plays.tolist(), "successes": wins.tolist()}
+
+
+def _write(given: Namespace, command: str, cells: Sequence[Cell], missing: list[str]) -> str:
+    """Writes the page, its figures, bench.csv and bench.json. Returns the page."""
+    import json
+
+    from bbq_torchrl.evaluation.bench import bench_report, rows_of
+    from bbq_torchrl.evaluation.results import read_result, write_json
+
+    rows, scripts, about = [], {}, []
+    for cell in cells:
+        entry: dict[str, Any] = {"cell": cell.name, "command": cell.command}
+        if _is_played(cell):
+            played = json.loads((cell.folder / _PLAYED).read_text(encoding="utf-8"))
+            rows += rows_of(
+                cell.agent,
+                cell.setting,
+                cell.folder,
+                given.budgets,
+                played["plays"],
+                played["successes"],
+            )
+            result = read_result(cell.folder)
+            entry |= {"commit": result.commit, "clean": result.clean, "versions": result.versions}
+            scripts[f"{cell.setting[0]}, errors {cell.setting[1]}"] = (
+                result.scripted | result.references
+            )
+        about.append(entry)
+    settings = list(dict.fromkeys(cell.setting for cell in cells))
+    left_out = {
+        "domains": [name for name in DOMAINS if name not in {domain for domain, _ in settings}],
+        "errors": [name for name in ERRORS if name not in given.errors],
+        "budgets": [f"{budget:,}" for budget in BUDGETS if budget not in given.budgets],
+        "seeds": [f"{given.seeds} of {SEEDS}"] if given.seeds < SEEDS else [],
+    }
+    content = {
+        "command": command,
+        "budgets": given.budgets,
+        "seeds": given.seeds,
+        "missing": missing,
+        "left_out": [f"{key} {', '.join(names)}" for key, names in left_out.items() if names],
+        "scripts": scripts,
+        "cells": about,
+    }
+    report = bench_report(
+        rows, list(dict.fromkeys(cell.agent for cell in cells)), settings, content
+    )
+    report.write(given.folder)
+    write_json(content, given.folder / "bench.json")
+    return str(report)
+
+
+if __name__ == "__main__":
+    sys.exit(main())
