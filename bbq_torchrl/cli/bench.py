@@ -99,7 +99,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for agent, overrides in agents.items()
         for cell in _cells(given, agent, [*given.set, *overrides], domains)
     ]
-    checked = [_checked(cell, is_trained=not given.page) for cell in cells]
+    checked = [_checked(cell, to_train=not given.page) for cell in cells]
+    given.folder.mkdir(parents=True, exist_ok=True)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     reasons = {}
     try:
@@ -251,14 +252,14 @@ def _cells(
     return cells
 
 
-def _checked(cell: Cell, *, is_trained: bool) -> Checked | None:
-    """Checks a cell as ``bbq train`` would, and the run in its folder; None if not to be trained."""
+def _checked(cell: Cell, *, to_train: bool) -> Checked | None:
+    """Checks the run in a cell's folder and, as ``bbq train`` does, what is to be trained."""
     from bbq_torchrl.runs.checks import check
     from bbq_torchrl.runs.resume import restarted_config
 
     try:
         restarted_config(cell.config, cell.folder, way="choose another folder for this bench")
-        return check(cell.config) if is_trained else None
+        return check(cell.config) if to_train else None
     except (ValueError, OSError) as error:
         raise ConfigError(f"{cell.name}: {sentence(error)}") from error
 

@@ -41,8 +41,8 @@ NOTE = f"""\
 The unit is the training seed: means have their 95 % Student t interval. **Booked**: share of the
 first training dialogues that succeeded, exploration included. **Success after**: success of the
 reported policy at that budget, without exploration; the last one is the final evaluation.
-**Dialogues to {LEVEL}**: training dialogues until the mean of five rounds reaches it; the median, where
-a seed that did not reach it counts as longer than all others, and the number of seeds that did.
+**Dialogues to {LEVEL}**: training dialogues until the mean of five rounds reaches it; the median,
+where a seed that did not reach it counts as longer than all others, and the number that did.
 **pass^k**: probability of reaching the same goal k times in a row, under other errors and random
 choices of the user (Yao et al. 2024). Schedules of exploration span the largest budget."""
 

@@ -22,6 +22,7 @@ PROGRAMS = {
     "search": "bbq_torchrl.search.__main__",
     "domains": "bbq_torchrl.cli.calibrate",
     "report": "bbq_torchrl.evaluation.report",
+    "bench": "bbq_torchrl.cli.bench",
 }
 """Command -> the module of its main function."""
 

@@ -1,0 +1,144 @@
+"""``bbq bench``: cells in order, the page and its data, what is missing, and equal bytes."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+import os
+import shutil
+import signal
+import time
+
+import forked
+import numpy as np
+import pytest
+from tiny import TINY
+
+from bbq_torchrl.cli import bench
+from bbq_torchrl.cli.evaluate import composed, evaluation
+from bbq_torchrl.runs import loading
+from bbq_torchrl.utils.statistics import binomial_standard_error, pass_k
+
+OWN = "own: agent=dqn explore=boltzmann"
+KEYS = [
+    *(key for key in TINY if not key.startswith(("protocol.rounds", "protocol.eval_every="))),
+    "protocol.keep_checkpoints=weights",
+    "protocol.eval_batch=200",
+]
+
+
+def arguments(folder, *agents, budgets=("4", "12")):
+    chosen = ["--agents", *agents, "--domains", "hotel", "--errors", "0.1"]
+    return [str(folder), *chosen, "--budgets", *budgets, "--seeds", "2", "--set", *KEYS]
+
+
+def run(folder, *given, code=0):
+    """Runs the command in a child. Returns what it printed."""
+    return forked.call(lambda: bench.main(arguments("made", *given)), cwd=folder, code=code)
+
+
+def content(folder):
+    """The bytes of what is published but figures."""
+    return {file: (folder / "made" / file).read_bytes() for file in ("bench.csv", "bench.json")}
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("bench")
+    page, _ = run(folder, "dqn", OWN)
+    return folder, page
+
+
+def test_the_page_has_a_row_for_each_agent_and_names_what_is_left_out(made):
+    folder, page = made
+    assert "### hotel, errors 0.1" in page
+    assert {"| dqn |", "| own |"} <= {line[:7] for line in page.splitlines()}
+    assert "domains movie, restaurant, miulab; errors 0, reference, 0.2;" in page
+    assert "Missing" not in page
+    assert (folder / "made" / "bench.md").read_text().startswith(page.rstrip("\n"))
+    assert (folder / "made" / "profiles.svg").is_file()
+
+
+def test_a_row_says_what_the_run_folder_says(made):
+    folder, _ = made
+    with (folder / "made" / "bench.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["agent"], row["replica"]) for row in rows] == [
+        *(("dqn", "0"), ("dqn", "1"), ("own", "0"), ("own", "1"))
+    ]
+    cell = folder / "made" / "hotel" / "errors_0.1" / "own"
+    result = json.loads((cell / "result.json").read_text())["per_replica"][1]
+    with (cell / "metrics.csv").open() as file:
+        rounds = [line for line in csv.DictReader(file) if line["replica"] == "1"]
+    assert float(rows[3]["success_after_12"]) == result["success_rate"]
+    assert float(rows[3]["reward"]) == result["reward"]
+    assert float(rows[3]["success_after_4"]) == float(rounds[0]["eval_success_rate"])
+    booked = np.mean([float(line["success_rate"]) for line in rounds])
+    assert float(rows[3]["booked_after_12"]) == pytest.approx(booked)
+
+
+def test_every_cell_has_a_command_a_commit_and_versions(made):
+    folder, _ = made
+    about = json.loads((folder / "made" / "bench.json").read_text())
+    assert about["command"].startswith("bbq bench ")
+    for cell in about["cells"]:
+        assert "domain=hotel env.slot_error_prob=0.1" in cell["command"]
+        assert {"torch", "torchrl"} <= cell["versions"].keys()
+        assert {"commit", "clean"} <= cell.keys()
+
+
+def test_a_cell_run_again_gives_the_same_bytes(made, tmp_path):
+    shutil.copytree(made[0] / "made", tmp_path / "made")
+    shutil.rmtree(tmp_path / "made" / "hotel" / "errors_0.1" / "own")
+    run(tmp_path, "dqn", OWN)
+    assert content(tmp_path) == content(made[0])
+
+
+def test_a_killed_bench_continues(made, tmp_path):
+    with (tmp_path / "out").open("w") as out:
+        child = forked.start(
+            lambda: bench.main(arguments("made", "dqn", OWN)), (), tmp_path, out, out
+        )
+        metrics = tmp_path / "made" / "hotel" / "errors_0.1" / "own" / "metrics.csv"
+        while not metrics.is_file():
+            assert os.waitpid(child, os.WNOHANG) == (0, 0)
+            time.sleep(0.005)
+        os.kill(child, signal.SIGKILL)
+        os.waitpid(child, 0)
+    run(tmp_path, "dqn", OWN)
+    assert content(tmp_path) == content(made[0])
+
+
+def test_a_cell_that_fails_is_named_and_not_averaged(tmp_path):
+    page, _ = run(tmp_path, "dqn", "wild: agent=dqn agent.lr=1e30", code=1)
+    assert "**Missing:** wild on hotel, errors 0.1 (" in page
+    assert "No setting is finished by all agents." in page
+    assert "| dqn |" in page
+    assert "| wild |" not in page
+
+
+def test_a_page_alone_trains_nothing(tmp_path):
+    page, _ = run(tmp_path, "dqn", "--page", code=1)
+    assert "**Missing:** dqn on hotel, errors 0.1 (not trained)." in page
+    assert not (tmp_path / "made" / "hotel").exists()
+
+
+def test_goals_are_played_as_often_as_an_evaluation_plays_them(monkeypatch, tmp_path):
+    # A scripted policy takes the place of a trained one; another command measures its success.
+    given = bench._parser().parse_args([str(tmp_path), "--domains", "hotel", "--seeds", "2"])
+    cell = bench._cells(given, "dqn", ["agent=dqn"], bench._domains(given.domains))[1]
+    env, domain = cell.config.env, cell.config.domain.make()
+
+    def loaded(folder, *, dialogues, device):
+        made = env.make(domain, (2, dialogues), device=device)
+        return made, env.make_policy("careful", made)
+
+    monkeypatch.setattr(loading, "load_run", loaded)
+    played = {key: np.array(value) for key, value in bench._plays(cell).items()}
+    assert played["plays"].shape == (2, len(domain.goals))
+    assert (played["plays"].sum(-1) == bench.PLAYS * len(domain.goals)).all()
+    known = evaluation(composed(["policy=careful", "domain=hotel"]))
+    found = pass_k(played["successes"].sum(0), played["plays"].sum(0), 1)
+    error = binomial_standard_error(known["success_rate"], int(played["plays"].sum()))
+    assert abs(found - known["success_rate"]) < 4 * math.hypot(error, known["standard_error"])
