@@ -21,7 +21,12 @@ from bbq_torchrl.domains import load_domain
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.people.language.generate import Generator
 from bbq_torchrl.people.language.labeled import read_lines
-from bbq_torchrl.people.language.measure import measure_lines, measure_round_trip
+from bbq_torchrl.people.language.measure import (
+    labeled_files,
+    measure_lines,
+    measure_own,
+    measure_round_trip,
+)
 from bbq_torchrl.people.language.simulated import play
 from bbq_torchrl.people.language.understand import SENTENCES, Understander
 from bbq_torchrl.utils import output
@@ -35,6 +40,8 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
 
 _ROUND_TRIPS = 3_000  # turns
+_MOVIE_DATA = Path("tests/data/language")
+_MOVIE_RESULT = Path("results/language.json")
 
 
 @output.refusing
@@ -55,9 +62,13 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command.add_argument("--labeled", type=Path, help="own labeled lines, learned as well")
         command.add_argument("--file", type=Path, help="where the understander goes")
         if name == "measure":
-            command.add_argument("--data", type=Path, default=Path("tests/data/language"))
+            command.add_argument(
+                "--data", type=Path, help="folder of labeled sentences (movie: tests/data/language)"
+            )
             command.add_argument("--dialogues", type=int, default=10_000, help="for the round trip")
-            command.add_argument("--out", type=Path, default=Path("results/language.json"))
+            command.add_argument(
+                "--out", type=Path, help="JSON file (movie: results/language.json)"
+            )
     count = commands.add_parser(
         "count", help="count what is misheard of simulated users, for env.errors=measured"
     )
@@ -73,31 +84,45 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _count(given, domain)
         return 0
     labeled = [] if given.labeled is None else read_lines(given.labeled, domain)
+    measures = given.command == "measure"
+    files = labeled_files(given.data, domain) if measures else {}
+    is_movie = given.domain == MOVIE_FOLDER and not files and _MOVIE_DATA.is_dir()
     started = time.process_time()
     understand = Understander.train(
         domain, sentences=given.sentences, seed=given.seed, labeled=labeled
     )
     seconds = time.process_time() - started
     with TemporaryDirectory() as unkept:
-        folder = unkept if given.command == "measure" else ""
+        folder = unkept if measures else ""
         file = given.file or Path(folder, f"{domain.name}.language.npz")
         understand.save(file)
         megabytes = round(file.stat().st_size / 1e6, 2)
-    if given.command == "measure":
-        turns = play(domain, given.dialogues, seed=given.seed)[:_ROUND_TRIPS]
-        figures = {
-            "domain": domain.name,
-            "learned_from": given.sentences,
-            "seed": given.seed,
-            "training_seconds": round(seconds, 1),
-            "megabytes": megabytes,
-            **measure_lines(understand, given.data),
-            **measure_round_trip(understand, Generator(domain), turns),
-        }
-        text = json.dumps(_rounded(figures), indent=1) + "\n"
-        output.write(text)
-        given.out.parent.mkdir(parents=True, exist_ok=True)
-        given.out.write_text(text, encoding="utf-8")
+    if not measures:
+        return 0
+    turns = play(domain, given.dialogues, seed=given.seed)[:_ROUND_TRIPS]
+    figures = {
+        "domain": domain.name,
+        "learned_from": given.sentences,
+        "seed": given.seed,
+        "training_seconds": round(seconds, 1),
+        "megabytes": megabytes,
+        **(
+            measure_lines(understand, _MOVIE_DATA)
+            if is_movie
+            else measure_own(understand, files, given.seed)
+        ),
+        **measure_round_trip(understand, Generator(domain), turns),
+    }
+    text = json.dumps(_rounded(figures), indent=1) + "\n"
+    output.write(text)
+    if not (files or is_movie):
+        output.print_error(
+            "people's sentences were not measured: the domain has no labeled ones; name a folder "
+            "with --data"
+        )
+    out = given.out or (_MOVIE_RESULT if is_movie else Path(f"{domain.name}.language.json"))
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(text, encoding="utf-8")
     return 0
 
 

@@ -9,14 +9,16 @@ from itertools import compress
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
+from bbq_torchrl.people.language.corpus import make_examples
 from bbq_torchrl.people.language.labeled import Line, read_lines
 from bbq_torchrl.people.language.noise import lowered, with_typos
 from bbq_torchrl.people.language.understand import keys_of, same_frame
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
 
+    from bbq_torchrl.domains import Domain
     from bbq_torchrl.domains.frames import Frame
     from bbq_torchrl.people.language.generate import Generator
     from bbq_torchrl.people.language.understand import Understander
@@ -31,6 +33,7 @@ SUREST = 0.8
 _TYPOS = 0.1
 _DRAWS = 5
 _CHANCES = 200
+_MADE = 2_000
 
 
 def score(
@@ -129,6 +132,46 @@ def measure_lines(understand: Understander, data: Path) -> dict[str, Any]:
         "lowered_cost_slot_f1": whole["slot_f1"] - score(understand, lines, lowered)["slot_f1"],
         "other_hand_slot_f1": files["other_hand"]["slot_f1"],
         "milliseconds_a_sentence": 1e3 * seconds / len(lines),
+    }
+
+
+def labeled_files(data: Path | None, domain: Domain) -> dict[str, list[Line]]:
+    """Returns the labeled lines of the text files in a folder, by the name of the file.
+
+    Args:
+        data: the folder; ``None`` where there are no labeled sentences.
+        domain: whose acts and slots the labels may name.
+
+    Raises:
+        ValueError: if the folder has no text files, or one is written in another way.
+    """
+    if data is None:
+        return {}
+    files = {file.stem: read_lines(file, domain) for file in sorted(data.glob("*.txt"))}
+    if not any(files.values()):
+        raise ValueError(
+            f"--data must be a folder with labeled sentences in files *.txt, got {data}"
+        )
+    return {name: lines for name, lines in files.items() if lines}
+
+
+def measure_own(
+    understand: Understander, files: Mapping[str, Sequence[Line]], seed: int
+) -> dict[str, Any]:
+    """Returns the figures of a domain of one's own.
+
+    They are those of sentences of its grammar that nothing was learned from, and of each file of
+    labeled sentences, by its name.
+
+    Args:
+        understand: who understands.
+        files: see :func:`labeled_files`.
+        seed: of the learning; the sentences are those of another.
+    """
+    made = make_examples(understand.lexicon, _MADE, seed + 2)
+    lines = [Line(one.question, " ".join(one.words), one.frame) for one in made]
+    return {"grammar": score(understand, lines)} | {
+        name: score(understand, own) for name, own in files.items()
     }
 
 

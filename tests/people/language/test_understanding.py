@@ -337,8 +337,34 @@ def test_measuring_leaves_a_trained_file_alone(understand, tmp_path, monkeypatch
     monkeypatch.chdir(tmp_path)
     (tmp_path / "movie.language.npz").write_text("trained")
     monkeypatch.setattr(Understander, "train", lambda *args, **given: understand)
-    monkeypatch.setattr(command, "measure_lines", lambda *args: {"turns": 3})
+    monkeypatch.setattr(command, "measure_own", lambda *args: {"turns": 3})
     monkeypatch.setattr(command, "measure_round_trip", lambda *args: {})
     assert command.main(["measure", "--out", "new/figures.json", "--dialogues", "9"]) == 0
     assert (tmp_path / "movie.language.npz").read_text() == "trained"
     assert json.loads((tmp_path / "new" / "figures.json").read_text())["megabytes"] > 0
+
+
+RESTAURANT = Path(__file__).parents[2] / "data" / "restaurant"
+
+
+def test_a_domain_of_ones_own_is_measured_by_what_it_has(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    given = ["measure", "--domain", str(RESTAURANT), "--sentences", "40", "--dialogues", "20"]
+    assert command.main(given) == 0
+    assert "people's sentences were not measured" in capsys.readouterr().err
+    figures = json.loads(Path("restaurant.language.json").read_text())
+    assert figures["grammar"]["sentences"] > 0
+    assert "free" not in figures
+
+    (tmp_path / "said").mkdir()
+    (tmp_path / "said" / "anna.txt").write_text(
+        " | hello | greeting\nrequest(area) | bye | closing"
+    )
+    assert command.main([*given, "--data", "said", "--out", "own.json"]) == 0
+    assert "not measured" not in capsys.readouterr().err
+    assert json.loads(Path("own.json").read_text())["anna"]["sentences"] == 2
+
+
+def test_a_folder_without_labeled_sentences_is_refused_before_learning(tmp_path, monkeypatch):
+    monkeypatch.setattr(Understander, "train", lambda *_, **__: pytest.fail("it learned"))
+    assert command.main(["measure", "--data", str(tmp_path)]) == 2
