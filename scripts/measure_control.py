@@ -42,10 +42,13 @@ def play(
     state = simulator.reset(simulator.draw_reset(shape, generator), active)
     while not bool(state["done"].all()):
         state = control.remember(state)
+        wished = state.get("wished", None)
         allowed, _ = control.allowed(state, legal)
         seen = {"observation": simulator.observe(state, active), "action_mask": allowed}
         action = policy(TensorDict(seen, batch_size=shape))["action"]
         state = simulator.turn(state, action, simulator.draw_turn(shape, generator), active)
+        if wished is not None:
+            state["wished"] = wished
     return float(state["success"].float().mean()), float(state["turn"].float().mean())
 
 

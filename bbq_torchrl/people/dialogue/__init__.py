@@ -5,10 +5,10 @@ from __future__ import annotations
 RULE_NAMES = (
     "yes_ends",
     "answers_first",
-    "no_unasked_inform",
     "no_asking_back",
+    "news",
     "no_repeat",
-    "drop_no_match",
+    "take_back",
     "confirm",
     "book",
     "names",

@@ -59,19 +59,19 @@ class Control:
                 raise ValueError(f"a rule must be one of {', '.join(RULES)}, got {name!r}")
         self.rules = tuple(name for name in RULES if name in names)
         domain = simulator.domain
-        self._tracker = simulator.tracker
+        self._tracker, self._count = simulator.tracker, simulator.knowledge_base.matching_counts
         self._acts, self._complete = domain.act, domain.complete
         self._act, self._slot = domain.action_act, domain.action_slot.clamp(min=0)
         has_slot = domain.action_slot >= 0
         is_inform = has_slot & (domain.action_act == domain.act["inform"])
         self._is_booking = is_inform & (domain.action_slot == domain.complete)
-        is_ticket = domain.action_slot == domain.ticket
-        self._is_answer = is_inform & ~self._is_booking & ~is_ticket
+        self._is_told = is_inform & ~self._is_booking
+        self._is_answer = self._is_told & (domain.action_slot != domain.ticket)
         self._is_request = has_slot & (domain.action_act == domain.act["request"])
         self._is_end = (domain.action_act == domain.act["thanks"]) | (
             domain.action_act == domain.act["closing"]
         )
-        self._has_no_slot = ~has_slot
+        self._has_no_slot, self._is_empty = ~has_slot, ~has_slot & ~self._is_end
         self._can_answer = torch.zeros(domain.n_slots, dtype=torch.bool)
         self._can_answer[self._slot[self._is_answer]] = True
 
@@ -98,12 +98,37 @@ class Control:
         return legal, left_out
 
     def remember(self, state: TensorDictBase) -> TensorDictBase:
-        """Returns the state after a person's act, without what the rules forget."""
-        if "drop_no_match" not in self.rules:
+        """Returns the state after a person's act, without what the agent takes back.
+
+        Where nothing matches what the person tells and all before, what the agent told is dropped,
+        and told again as if the person had just asked for it. The state gets the key ``wished``,
+        bool ``[*B, S]``: the slots that the person has told so far.
+
+        Args:
+            state: of the simulator or of a :class:`~bbq_torchrl.people.dialogue.tracker.Tracking`.
+        """
+        if "take_back" not in self.rules:
             return state
-        is_told = (state["user_informs"] != NONE).any(-1, keepdim=True)
-        held = torch.where(is_told & (state["held"] == NO_MATCH), NONE, state["held"])
-        return state.replace(held=held)
+        held, tells = state["held"], state["user_informs"] != NONE
+        wished = state.get("wished", tells) | tells
+        is_stuck = (self._count(held) == 0) & tells.any(-1)
+        dropped = ~wished & (held != NONE) & is_stuck[..., None]
+        return state.replace(
+            held=torch.where(dropped, NONE, held),
+            heard_requests=state["heard_requests"] | dropped,
+            open_requests=state["open_requests"] | dropped,
+            wished=wished,
+        )
+
+    def answers(self, state: TensorDictBase, legal: torch.Tensor) -> torch.Tensor:
+        """Returns the actions that answer an open question of the person, bool ``[*B, A]``."""
+        if "answers_first" not in self.rules:
+            return torch.zeros_like(legal)
+        return legal & self._is_answer & self._open(state)[..., self._slot]
+
+    def continues(self, legal: torch.Tensor) -> torch.Tensor:
+        """Returns the actions that may follow an answer in the same reply, bool ``[*B, A]``."""
+        return legal & (self._is_request | self._is_booking)
 
     def _open(self, state: TensorDictBase) -> torch.Tensor:
         """Returns the questions of the user that the agent can answer, bool ``[*B, S]``."""
@@ -113,22 +138,22 @@ class Control:
         is_yes = state["heard_act"] == self._acts["thanks"]
         is_offer = state["agent_informs"][..., self._complete] == AVAILABLE
         ends = is_yes & is_offer & ~self._open(state).any(-1)
-        return ~ends[..., None] | self._is_end
+        return ends[..., None] == self._is_end
 
     def _answers_first(self, state: TensorDictBase) -> torch.Tensor:
         open_ = self._open(state)
-        was_offered = state["held"][..., self._complete] != NONE
-        must = open_.any(-1) & was_offered
-        return ~must[..., None] | (self._is_answer & open_[..., self._slot])
-
-    def _no_unasked_inform(self, state: TensorDictBase) -> torch.Tensor:
-        open_ = self._open(state)
-        is_unasked = (self._is_answer & ~open_[..., self._slot]) | self._is_end
-        return ~(open_.any(-1, keepdim=True) & is_unasked)
+        return ~open_.any(-1, keepdim=True) | (self._is_answer & open_[..., self._slot])
 
     def _no_asking_back(self, state: TensorDictBase) -> torch.Tensor:
-        known = self._open(state) | (state["user_informs"] > DONT_CARE)
+        held = state["held"]
+        own = (held > DONT_CARE) & ~state.get("wished", held != NONE)
+        just_told = state["user_informs"] > DONT_CARE
+        known = self._open(state) | just_told | own | (held == DONT_CARE)
         return ~(self._is_request & known[..., self._slot])
+
+    def _news(self, state: TensorDictBase) -> torch.Tensor:
+        is_known = (state["held"] != NONE) & ~self._open(state)
+        return ~(self._is_told & is_known[..., self._slot] | self._is_empty)
 
     def _no_repeat(self, state: TensorDictBase) -> torch.Tensor:
         told, asked = state["agent_informs"] != NONE, state["agent_requests"]
@@ -149,21 +174,19 @@ RULES = dict(
     zip(
         RULE_NAMES,
         (
-            Rule("A yes to an offer that stands ends the dialogue.", Control._yes_ends),
             Rule(
-                "A question after an offer is answered before anything else.",
-                Control._answers_first,
+                "A yes to an offer that stands ends the dialogue, and nothing else does.",
+                Control._yes_ends,
             ),
+            Rule("A question is answered before anything else.", Control._answers_first),
             Rule(
-                "With a question open the agent tells nothing else, and does not end the dialogue.",
-                Control._no_unasked_inform,
-            ),
-            Rule(
-                "The agent does not ask for what the person asks for or has just told.",
+                "The agent does not ask for what it has told, or what the person asks for, has just "
+                "told, or does not care about.",
                 Control._no_asking_back,
             ),
+            Rule("The agent tells only what is not known yet, and says something.", Control._news),
             Rule("No act is repeated unchanged.", Control._no_repeat),
-            Rule('A remembered "no match" is forgotten when the person tells a value.'),
+            Rule("An answer that does not fit what the person tells later is taken back."),
             Rule(
                 "A sentence understood badly is checked, and its content kept "
                 '("Dune, Tuesday, is that right?").'
@@ -179,5 +202,5 @@ RULES = dict(
 )
 """Rules by name, in the order in which they apply."""
 
-IN_THE_SIMULATOR = (*(name for name, rule in RULES.items() if rule.allowed), "drop_no_match")
+IN_THE_SIMULATOR = (*(name for name, rule in RULES.items() if rule.allowed), "take_back")
 """The rules that concern acts and memory; the others concern sentences alone."""

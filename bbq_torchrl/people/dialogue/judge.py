@@ -49,7 +49,7 @@ class Judge:
 
     1. the last offer of a booking holds every wish of the goal card,
     2. that offer says that there is a ticket,
-    3. every question of the card was answered, and one record of the knowledge base holds all
+    3. every question of the card was answered, by itself or in an offer, and one record of the knowledge base holds all
        wishes and all answers,
     4. it ended before it ran out of turns.
 
@@ -99,9 +99,10 @@ class Judge:
             told = _folded(said.informs)
             if self._complete in told:
                 offer = told
+                answers |= {} if self._as_simulated else _real(told)
                 if told[self._complete] == _NO_MATCH:
                     latest[self._ticket] = _NO_MATCH
-            elif said.act == "inform":
+            elif said.act in ("inform", "request"):  # or answers, and a question after them
                 latest |= told
                 answers |= told
         asked = {slot: answers.get(slot, _NO_MATCH) for slot in goal.requests}
@@ -132,6 +133,11 @@ class Judge:
 
 def _folded(values: Mapping[str, str]) -> dict[str, str]:
     return {slot: fold(value) for slot, value in values.items()}
+
+
+def _real(values: Mapping[str, str]) -> dict[str, str]:
+    reserved = (_NO_MATCH, _AVAILABLE, _DONT_CARE)
+    return {slot: value for slot, value in values.items() if value not in reserved}
 
 
 def _holds(offer: Mapping[str, str], wishes: Mapping[str, str]) -> bool:

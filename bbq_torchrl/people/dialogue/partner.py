@@ -11,6 +11,7 @@ from tensordict import TensorDict
 
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.values import NONE, RESERVED_TEXT
+from bbq_torchrl.people.dialogue.acting import Acting
 from bbq_torchrl.people.dialogue.control import Control
 from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.dialogue.tracker import Tracking
@@ -163,6 +164,7 @@ class Partner:
         simulator = Simulator(tensorize(self.domain), max_turn=agent.simulator.max_turn)
         self._tracking = Tracking(simulator, agent.active)
         self.control = Control(simulator, rules)
+        self._acting = Acting(agent, self._tracking, self.control)
 
     def reply(self, memory: Memory | None, text: str, seed: int) -> Answer:
         """Answers a text.
@@ -216,38 +218,19 @@ class Partner:
         self, now: Memory, understood: Understood, heard: Frame, seed: int, words: dict[str, Any]
     ) -> Answer:
         """Returns the answer of the policy to an act."""
-        legal = self.agent.legal
-        wants_ticket = heard == Frame("request", {}, (self.domain.ticket_slot,))
-        if wants_ticket and now.state is not None and "book" in self.control.rules:
-            last = self._tracking.said(now.state)
-            if last is not None and self.domain.complete_slot in last.informs:
-                heard = Frame("thanks")
-            else:
-                booking = self.domain.action_index(f"inform({self.domain.complete_slot})")
-                legal = torch.arange(len(legal)) == booking
-        state = self._hear(now.state, heard)
-        observation = self._tracking.observe(state)
-        action = self.agent.decide(observation, seed)
-        allowed, left_out = self.control.allowed(state, legal)
-        left_out["book"] = self.agent.legal & ~legal
-        control = tuple(name for name, actions in left_out.items() if actions[action])
-        if control:
-            action = self.agent.decide(observation, seed, allowed)
-        after = self._tracking.act(state, action)
-        said = self._tracking.said(after)
-        assert said is not None
-        held = self._tracking.held(state)
-        known = {slot: value for slot, value in _values(held).items() if slot in said.requests}
-        if said.act == "request" and known and "check" in self.control.rules:
-            now = replace(now, checked=said.requests[0])
-            sentence = self._nlg.check(known, **words)
-        else:
-            sentence = self._nlg.agent(said, held, **words)
+        acted = self._acting.reply(now.state, heard, seed)
+        said, now = acted.said, replace(now, state=acted.state)
+        sentences = [self._nlg.agent(act, held, **words) for act, held in acted.parts]
+        last, held = acted.parts[-1]
+        known = {slot: value for slot, value in _values(held).items() if slot in last.requests}
+        if last.act == "request" and known and "check" in self.control.rules:
+            now = replace(now, checked=last.requests[0])
+            sentences[-1] = self._nlg.check(known, **words)
         ended = "agent" if said.act in ("thanks", "closing") else ""
         if not ended and 2 * now.texts >= self.agent.simulator.max_turn:
             ended = "turns"
-        now = replace(now, state=after)
-        return Answer(sentence, understood, heard, said, now, True, ended, control)
+        sentence, rules = " ".join(sentences), acted.control
+        return Answer(sentence, understood, acted.heard, said, now, True, ended, rules)
 
     def _doubts(
         self, asking: Asking, understood: Understood, text: str, *, has_missed: bool
@@ -308,12 +291,7 @@ class Partner:
         return self.agent.reasons(self._observed(memory, heard), seed)
 
     def _observed(self, memory: Memory | None, heard: Frame) -> torch.Tensor:
-        return self._tracking.observe(self._hear((memory or Memory()).state, heard))
-
-    def _hear(self, state: TensorDict | None, heard: Frame) -> TensorDict:
-        if state is None:
-            return self._tracking.start(heard)
-        return self.control.remember(self._tracking.hear(state, heard))
+        return self._tracking.observe(self._acting.hear((memory or Memory()).state, heard))
 
     def _understood(self, text: str, question: Frame | None) -> Understood:
         """Returns the meaning of a text, its values in the one spelling."""
