@@ -235,6 +235,11 @@ class Person:
 
     def _to_telling(self, answer: Answer) -> Said:
         told = answer.said.informs
+        if "no match" in told.values():  # the sentence names what does not go together
+            goal = self._goal.constraints
+            wrong = [k for k, v in self._held.items() if k in goal and v not in (goal[k], "no match")]
+            if wrong:
+                return self._tell(wrong[:2], "fix")
         for slot, value in told.items():
             if slot in self._goal.constraints and value != self._goal.constraints[slot]:
                 return self._tell([slot], "fix")

@@ -15,5 +15,6 @@ RULE_NAMES = (
     "contrary",
     "farewell",
     "check",
+    "aside",
 )
 """The rules of :mod:`~bbq_torchrl.people.dialogue.control`, here where no torch is needed."""

@@ -101,7 +101,8 @@ class Control:
         """Returns the state after a person's act, without what the agent takes back.
 
         Where nothing matches what the person tells and all before, what the agent told is dropped,
-        and told again as if the person had just asked for it. The state gets the key ``wished``,
+        and told again as if the person had just asked for it. A "no match" is dropped anyway. The
+        state gets the key ``wished``,
         bool ``[*B, S]``: the slots that the person has told so far.
 
         Args:
@@ -111,6 +112,7 @@ class Control:
             return state
         held, tells = state["held"], state["user_informs"] != NONE
         wished = state.get("wished", tells) | tells
+        held = torch.where(~wished & (held == NO_MATCH), NONE, held)
         is_stuck = (self._count(held) == 0) & tells.any(-1)
         dropped = ~wished & (held != NONE) & is_stuck[..., None]
         return state.replace(
@@ -192,10 +194,14 @@ RULES = dict(
                 '("Dune, Tuesday, is that right?").'
             ),
             Rule('"Book it" makes the agent offer, and after an offer it is a yes.'),
-            Rule("An exact name that the understanding dropped is checked."),
+            Rule(
+                "A name that the understanding dropped is checked, and one that no record has is "
+                "asked about."
+            ),
             Rule('A value said with words such as "not" or "or later" is checked.'),
             Rule("Only words of farewell let a person end the conversation."),
             Rule('A known value is checked ("5:50 pm, is that right?"), not asked for.'),
+            Rule("A question in place of an answer is read by itself."),
         ),
         strict=True,
     )

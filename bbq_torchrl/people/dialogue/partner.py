@@ -15,7 +15,7 @@ from bbq_torchrl.people.dialogue.acting import Acting
 from bbq_torchrl.people.dialogue.control import Control
 from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.dialogue.tracker import Tracking
-from bbq_torchrl.people.language import Frame, TextError, Understood
+from bbq_torchrl.people.language import Frame, TextError, Unclear, Understood
 from bbq_torchrl.people.language.asking import MOST_ASKS, Asking
 from bbq_torchrl.people.language.words import is_contrary, is_farewell, is_no, is_yes
 from bbq_torchrl.simulator import Simulator
@@ -296,8 +296,26 @@ class Partner:
     def _understood(self, text: str, question: Frame | None) -> Understood:
         """Returns the meaning of a text, its values in the one spelling."""
         understood = self._nlu(text, question)
-        frame = understood.frame
-        return replace(understood, frame=replace(frame, informs=self._spelling.of(frame.informs)))
+        rules = self.control.rules
+        if "aside" in rules and question is not None and question.requests:
+            understood = self._aside(text, question.requests[0], understood)
+        informs = self._spelling.of(understood.frame.informs)
+        absent = self._spelling.absent(informs) if "names" in rules else {}
+        unclear = tuple(Unclear(slot, value) for slot, value in absent.items())
+        informs = {slot: value for slot, value in informs.items() if slot not in absent}
+        frame = replace(understood.frame, informs=informs)
+        return replace(understood, frame=frame, unclear=(*understood.unclear, *unclear))
+
+    def _aside(self, text: str, asked: str, understood: Understood) -> Understood:
+        """Returns the meaning of a text that may ask for something else than it was asked for."""
+        alone = self._nlu(text, None)
+        if asked in alone.frame.requests:
+            return understood
+        named = self._spelling.named(text, alone.frame.requests, asked)
+        if not named:
+            return understood
+        frame = Frame("request", understood.frame.informs, named)
+        return replace(understood, frame=frame, confidence=alone.confidence)
 
     def _ask_again(self, now: Memory, understood: Understood | None, sentence: str) -> Answer:
         """Returns a question about a text; the state of the dialogue stays as it is."""

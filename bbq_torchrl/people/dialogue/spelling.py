@@ -5,16 +5,18 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
+from bbq_torchrl.domains.values import RESERVED_TEXT, fold
 from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.words import POLITE, tokenize
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.domains.frames import Frame
 
 
+_RESERVED = frozenset(fold(text) for text in RESERVED_TEXT.values())
 _LETTERS = 5
 """A single word of fewer letters may be no name."""
 
@@ -48,10 +50,34 @@ class Spelling:
                 replace(goal, constraints=self.of(goal.constraints)) for goal in domain.goals
             ),
         )
+        self._recorded: dict[str, set[str]] = {}
+        for record in self.domain.records:
+            for slot in record.keys() - set(domain.free_slots):
+                self._recorded.setdefault(slot, set(_RESERVED)).add(fold(record[slot]))
 
     def of(self, values: Mapping[str, str]) -> dict[str, str]:
         """Returns slot to value in that spelling; values that the domain has not, as they are."""
         return {slot: self._lexicon.respell(slot, value) for slot, value in values.items()}
+
+    def absent(self, values: Mapping[str, str]) -> dict[str, str]:
+        """Returns those of some values that constrain a booking, and that no record has."""
+        return {
+            slot: value
+            for slot, value in values.items()
+            if slot in self._recorded and fold(value) not in self._recorded[slot]
+        }
+
+    def named(self, text: str, slots: Iterable[str], asked: str) -> tuple[str, ...]:
+        """Returns those of some slots that a text has a noun of, which is none of another slot's.
+
+        Args:
+            text: what a person typed.
+            slots: that may be named.
+            asked: the other slot.
+        """
+        nouns = self._lexicon.phrases.slots
+        words = set(tokenize(text)) - set(nouns[asked].nouns)
+        return tuple(slot for slot in slots if not words.isdisjoint(nouns[slot].nouns))
 
     def missed(self, text: str, frame: Frame) -> dict[str, str]:
         """Returns slot to value of the exact names in a text that its frame leaves out.
