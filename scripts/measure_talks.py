@@ -43,6 +43,7 @@ COUNTS = (
     "reported", "cut_off",
 )  # fmt: skip
 """What is counted of a conversation; :class:`Talk` says what each is."""
+_FAULTS = ("dropped", "wrong", "repeated", "turned_round", "cut_off")
 
 
 class Talk:
@@ -76,9 +77,15 @@ class Talk:
             said = self._person.say(answer, self._held(answer))
             memory = None if answer is None else answer.memory
             now = self._partner.reply(memory, said.text, seed * 1000 + turn)
+            earlier = self.counts.copy()
             self._count(turn, said, answer, now)
             self.said.append((said, now))
-            self.lines += [f"  person: {said.text}", f"  agent:  {now.text}    [{_note(now)}]"]
+            new = self.counts - earlier
+            faults = [name for name in _FAULTS if new[name]]
+            faults += ["unanswered"] * (new["answered"] < new["questions"])
+            note = f"heard {now.heard}" if now.acted else "asks"
+            marks = "".join(f" !{name}" for name in faults)
+            self.lines += [f"  person: {said.text}", f"  agent:  {now.text}  [{note}]{marks}"]
             answer, self.ended = now, now.ended
             if self.ended or said.act == "bye":
                 break
@@ -157,11 +164,6 @@ class Talk:
     def _earlier(self, slot: str) -> str:
         """Returns the value that the person told before: a reply may join it."""
         return self._told.get(slot, ("", 0))[0]
-
-
-def _note(answer: Answer) -> str:
-    heard = f"heard {answer.heard}" if answer.acted else "asks"
-    return f"{heard}; {','.join(answer.control)}"
 
 
 def main() -> None:

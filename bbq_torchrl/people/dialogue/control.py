@@ -111,10 +111,11 @@ class Control:
         if "take_back" not in self.rules:
             return state
         held, tells = state["held"], state["user_informs"] != NONE
-        wished = state.get("wished", tells) | tells
-        held = torch.where(~wished & (held == NO_MATCH), NONE, held)
+        wished = state.get("wished", torch.zeros_like(held)) + tells
+        own = wished == 0
+        held = torch.where(own & (held == NO_MATCH), NONE, held)
         is_stuck = (self._count(held) == 0) & tells.any(-1)
-        dropped = ~wished & (held != NONE) & is_stuck[..., None]
+        dropped = own & (held != NONE) & is_stuck[..., None]
         return state.replace(
             held=torch.where(dropped, NONE, held),
             heard_requests=state["heard_requests"] | dropped,
@@ -148,9 +149,10 @@ class Control:
 
     def _no_asking_back(self, state: TensorDictBase) -> torch.Tensor:
         held = state["held"]
-        own = (held > DONT_CARE) & ~state.get("wished", held != NONE)
+        wished = state.get("wished", torch.ones_like(held))
+        is_sure = (held > DONT_CARE) & ((wished == 0) | (wished > 1))
         just_told = state["user_informs"] > DONT_CARE
-        known = self._open(state) | just_told | own | (held == DONT_CARE)
+        known = self._open(state) | just_told | is_sure | (held == DONT_CARE)
         return ~(self._is_request & known[..., self._slot])
 
     def _news(self, state: TensorDictBase) -> torch.Tensor:

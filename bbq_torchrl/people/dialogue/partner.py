@@ -297,8 +297,8 @@ class Partner:
         """Returns the meaning of a text, its values in the one spelling."""
         understood = self._nlu(text, question)
         rules = self.control.rules
-        if "aside" in rules and question is not None and question.requests:
-            understood = self._aside(text, question.requests[0], understood)
+        if "aside" in rules and question is not None:
+            understood = self._aside(text, question.requests[:1], understood)
         informs = self._spelling.of(understood.frame.informs)
         absent = self._spelling.absent(informs) if "names" in rules else {}
         unclear = tuple(Unclear(slot, value) for slot, value in absent.items())
@@ -306,13 +306,13 @@ class Partner:
         frame = replace(understood.frame, informs=informs)
         return replace(understood, frame=frame, unclear=(*understood.unclear, *unclear))
 
-    def _aside(self, text: str, asked: str, understood: Understood) -> Understood:
-        """Returns the meaning of a text that may ask for something else than it was asked for."""
+    def _aside(self, text: str, asked: tuple[str, ...], understood: Understood) -> Understood:
+        """Returns the meaning of a text that may ask for something instead of answering."""
         alone = self._nlu(text, None)
-        if asked in alone.frame.requests:
-            return understood
         named = self._spelling.named(text, alone.frame.requests, asked)
-        if not named:
+        is_echo = not set(asked) <= set(named) and set(asked) <= set(understood.frame.requests)
+        is_better = alone.confidence > understood.confidence
+        if not named or not (is_better or (asked and is_echo)):
             return understood
         frame = Frame("request", understood.frame.informs, named)
         return replace(understood, frame=frame, confidence=alone.confidence)

@@ -10,7 +10,7 @@ from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.words import POLITE, tokenize
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Collection, Iterable, Mapping
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.domains.frames import Frame
@@ -67,17 +67,22 @@ class Spelling:
             if slot in self._recorded and fold(value) not in self._recorded[slot]
         }
 
-    def named(self, text: str, slots: Iterable[str], asked: str) -> tuple[str, ...]:
-        """Returns those of some slots that a text has a noun of, which is none of another slot's.
+    def named(
+        self, text: str, slots: Iterable[str], asked: Collection[str] = ()
+    ) -> tuple[str, ...]:
+        """Returns those of some slots that a text has a noun of.
 
         Args:
             text: what a person typed.
             slots: that may be named.
-            asked: the other slot.
+            asked: slots that were spoken of: their nouns do not name another slot.
         """
-        nouns = self._lexicon.phrases.slots
-        words = set(tokenize(text)) - set(nouns[asked].nouns)
-        return tuple(slot for slot in slots if not words.isdisjoint(nouns[slot].nouns))
+        nouns = {slot: set(phrases.nouns) for slot, phrases in self._lexicon.phrases.slots.items()}
+        spoken = set().union(*(nouns[slot] for slot in asked))
+        words = set(tokenize(text))
+        return tuple(
+            slot for slot in slots if words & (nouns[slot] - (set() if slot in asked else spoken))
+        )
 
     def missed(self, text: str, frame: Frame) -> dict[str, str]:
         """Returns slot to value of the exact names in a text that its frame leaves out.
