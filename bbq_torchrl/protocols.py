@@ -95,6 +95,25 @@ class FixedTargets(Protocol):
         """Returns the frozen network's values, [replicas, rows, 1], for [replicas, rows]."""
 
 
+class FitsBuffers(Protocol):
+    """A loss that learns from all stored transitions at once, in closed form.
+
+    Attributes:
+        only_fits: whether that is all its learning, so that mini-batches are not needed.
+    """
+
+    @property
+    def only_fits(self) -> bool:
+        """True if nothing is learned by gradient."""
+
+    def fit(self, tensordict: TensorDictBase, /) -> TensorDictBase:
+        """Learns from [replicas, rows], shuffled; called once a round, after the mini-batches.
+
+        Returns:
+            ``loss_value`` and further metrics, [replicas] each; they replace the mini-batches'.
+        """
+
+
 # -- modules of a policy ----------------------------------------------------------------------
 
 

@@ -2,12 +2,14 @@
 
 from bbq_torchrl.objectives.bbqn import BBQNLoss
 from bbq_torchrl.objectives.dqn import BootstrapDQNLoss, DropoutDQNLoss, NoisyDQNLoss
+from bbq_torchrl.objectives.gaussian_process import GPLoss
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 
 __all__ = [
     "BBQNLoss",
     "BootstrapDQNLoss",
     "DropoutDQNLoss",
+    "GPLoss",
     "NoisyDQNLoss",
     "OneStepQLoss",
 ]

@@ -20,6 +20,7 @@ from bbq_torchrl.options.settings import (
     STEP_SIZE,
     ConfigError,
     Values,
+    integers,
     one_of,
     option,
     optional,
@@ -292,6 +293,101 @@ class Bootstrap(AgentOption):
         from bbq_torchrl.data import BootstrapMask
 
         return [BootstrapMask(self.heads, self.mask_prob, replicas=task.replicas)]
+
+
+@register
+@dataclass
+class GP(AgentOption):
+    """A Gaussian process for each action, fitted in closed form once a round."""
+
+    name: str = option("gp")
+    features: str = setting(
+        "states",
+        one_of("states", "trunk"),
+        "a kernel of states, or the last hidden layer of a Q-network that learns as DQN does",
+    )
+    inducing: int = setting(512, integers(1, 10_000), "inducing states, for features=states")
+    kernel: str = setting(
+        "arccos",
+        one_of("arccos", "rbf"),
+        "kernel of features=states: of the angle, or the distance",
+    )
+    lengthscale: float = setting(
+        1.0, POSITIVE, "length of kernel=rbf, in units of the median distance of inducing states"
+    )
+    value_std: float = setting(
+        6.0, POSITIVE, "std of the value that all actions share, for features=states"
+    )
+    prior_std: float | None = setting(
+        None,
+        optional(POSITIVE, "2 for states, 0.1 for a trunk"),
+        "std of the prior of an action's weights",
+    )
+    noise_std: float | None = setting(
+        None,
+        optional(POSITIVE, "3 for states, 1 for a trunk"),
+        "std of the noise on the target, in units of Q",
+    )
+    sweeps: int | None = setting(
+        None,
+        optional(SIZE, "8 for states, 1 for a trunk"),
+        "regressions a round, each on new targets",
+    )
+    target: str = setting(
+        "mean",
+        one_of("mean", "draw"),
+        "values of the next states: the posterior's mean, or one draw of it in all sweeps",
+    )
+
+    offers: ClassVar[tuple[str, ...]] = ("posterior", "values")
+    explores_by: ClassVar[str] = "thompson"
+    modes: ClassVar[tuple[str, ...]] = EVALUATION_MODES
+
+    def make_actor(self, task: Task) -> QValueActor:
+        """Gaussian processes on Nyström features, or on a trunk."""
+        from bbq_torchrl.networks import GaussianProcess, StateFeatures, TrunkFeatures, q_actor
+
+        of_states = self.features == "states"
+        places: dict[str, Any] = {"replicas": task.replicas, "device": task.device}
+        features: StateFeatures | TrunkFeatures
+        if of_states:
+            features = StateFeatures(
+                task.inputs,
+                self.inducing,
+                kernel=self.kernel,  # type: ignore[arg-type]
+                lengthscale=self.lengthscale,
+                **places,
+            )
+        else:
+            features = TrunkFeatures(task.inputs, self.hidden, **places)
+        prior_std = (2.0 if of_states else 0.1) if self.prior_std is None else self.prior_std
+        network = GaussianProcess(features, task.actions, prior_std=prior_std, device=task.device)
+        task.reset_inactive_(network)
+        return q_actor(network, task.action_spec, action_mask_key=task.action_mask_key)
+
+    def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
+        """The fit, and the squared TD error of a trunk."""
+        from bbq_torchrl.objectives import GPLoss
+
+        of_states = self.features == "states"
+        noise_std = (3.0 if of_states else 1.0) if self.noise_std is None else self.noise_std
+        return GPLoss(
+            actor,
+            noise_std=noise_std,
+            value_std=self.value_std,
+            sweeps=self.sweeps or (8 if of_states else 1),
+            target=self.target,  # type: ignore[arg-type]
+            gamma=over_replicas(self.gamma, task),
+        )
+
+    def make_evaluation(
+        self, actor: QValueActor, mode: str | None = None
+    ) -> tuple[str, TensorDictModuleBase]:
+        """The mode and its policy, one of :data:`EVALUATION_MODES`."""
+        from bbq_torchrl.exploration import EvaluationPolicy
+
+        name = mode or "mean"
+        return name, EvaluationPolicy(actor, mode=name)  # type: ignore[arg-type]
 
 
 @register

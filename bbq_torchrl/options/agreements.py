@@ -14,7 +14,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import fields
 
-from bbq_torchrl.options.agent import BBQN, DQN
+from bbq_torchrl.options.agent import BBQN, DQN, GP
 from bbq_torchrl.options.env import FullDomain
 from bbq_torchrl.options.registry import Option, explorations
 from bbq_torchrl.options.root import CalibrateConfig, Config, EvaluateConfig
@@ -107,6 +107,17 @@ def _check_noise(config: Config) -> None:
     if isinstance(agent, DQN) and "noise" in explore.needs and not agent.noisy:
         raise ConfigError(
             f"explore={explore.name} needs a network with noise: agent.noisy must be true"
+        )
+
+
+@agreement
+def _check_inducing(config: Config) -> None:
+    """Refuses more inducing states than transitions to choose them from."""
+    agent, capacity = config.agent, config.protocol.capacity
+    if isinstance(agent, GP) and agent.features == "states" and agent.inducing > capacity:
+        raise ConfigError(
+            f"agent.inducing must be at most protocol.capacity ({capacity}), the transitions to "
+            f"choose them from, got {agent.inducing}"
         )
 
 

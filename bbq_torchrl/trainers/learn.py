@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
-from bbq_torchrl.protocols import BeginsEpochs, FixedTargets, UsesNumData, provides
+from bbq_torchrl.protocols import BeginsEpochs, FitsBuffers, FixedTargets, UsesNumData, provides
 from bbq_torchrl.trainers.errors import TrainingError
 
 if TYPE_CHECKING:
@@ -201,11 +201,22 @@ class Learner:
         for loss in self._losses:
             if provides(loss, UsesNumData):
                 loss.set_num_data(self.replay.num_data())
-        self.update_all(round_number)
+        fitting = [loss for loss in self._losses if provides(loss, FitsBuffers)]
+        if not all(provides(loss, FitsBuffers) and loss.only_fits for loss in self._losses):
+            self.update_all(round_number)
+        for loss in fitting:
+            self._fit(loss, round_number)
         return {
             "loss" if name == "loss_value" else name: means
             for name, means in self._update.sums.means().items()
         }
+
+    def _fit(self, loss: FitsBuffers, round_number: int) -> None:
+        """Fits a loss to the buffers; the round's metrics are those of the fit."""
+        self.seed_phase("fit", round_number)
+        (batch,) = self.replay.epoch(max(self.replay.lengths))
+        self._update.sums = LossSums(self.replay.replicas)
+        self._update.sums.add(loss.fit(batch.transitions), batch)
 
     def update_all(self, round_number: int) -> None:
         """Freezes and learns, without waiting for the device."""

@@ -18,18 +18,26 @@ from bbq_torchrl.runs.train import build_trainer, make_agent, run
 
 SHRUNKEN = (*TINY, "spike.policy=random", "replicas=2")
 EXTENSION = ("env.start=1", "env.every=1")
-NEEDED = {("dqn", "noisy"): ("agent.noisy=true", "agent.dropout=0")}
+NEEDED = {
+    ("dqn", "noisy"): ("agent.noisy=true", "agent.dropout=0"),
+    ("gp", None): ("agent.inducing=8",),
+}
 # Each pair once, its environment and reward in turn, so that each agent meets all four of them.
 PAIRS = [(agent, explore) for agent, explores in explorations().items() for explore in explores]
 SURROUNDINGS = cycle(product(schemas()["env"], schemas()["intrinsic"]))
 CELLS = {
     f"{agent}-{explore}-{env}-{intrinsic}": (
         *(f"agent={agent}", f"explore={explore}", f"env={env}", f"intrinsic={intrinsic}"),
-        *NEEDED.get((agent, explore), ()),
+        *NEEDED.get((agent, explore), NEEDED.get((agent, None), ())),
     )
     for (agent, explore), (env, intrinsic) in zip(PAIRS, SURROUNDINGS, strict=False)
 }
 CELLS |= {
+    "GP on a trunk": ("env=domain_ext", "agent=gp", "agent.features=trunk", "intrinsic=vime"),
+    "GP with drawn targets": (
+        *("env=domain_ext", "agent=gp", "agent.inducing=8", "agent.target=draw"),
+        *("agent.kernel=rbf", "intrinsic=count", "explore.per=episode"),
+    ),
     "BBQN-MC": ("env=domain_ext", "agent.target=mc"),
     "shared target noise": ("env=domain_ext", "agent.target=mc", "agent.target_noise=shared"),
     "separate networks with priors": (

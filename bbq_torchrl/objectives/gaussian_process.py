@@ -1,0 +1,180 @@
+"""Fitted Q-iteration for Gaussian processes: a closed-form posterior from the whole buffer."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Literal, get_args
+
+import torch
+from tensordict import TensorDict
+
+from bbq_torchrl.bayes.linear_regression import posterior_factors, posterior_means
+from bbq_torchrl.checks import ABOVE_ZERO, at_least, check, one_of
+from bbq_torchrl.networks.gaussian_process import GaussianProcess, StateFeatures
+from bbq_torchrl.networks.q_actor import legal_actions, masked
+from bbq_torchrl.objectives.q_learning import OneStepQLoss
+from bbq_torchrl.objectives.rows import rows_that_count
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from tensordict import TensorDictBase
+    from torch import Tensor
+    from torchrl.data import TensorSpec
+    from torchrl.modules import QValueActor
+
+    from bbq_torchrl.objectives.value_function import Inputs
+
+Target = Literal["mean", "draw"]
+TARGET = one_of(*get_args(Target))
+
+
+class GPLoss(OneStepQLoss):
+    """The fit of a :class:`~bbq_torchrl.networks.GaussianProcess`, and the DQN loss of its trunk.
+
+    :meth:`fit` models the target of a transition as y = φ(s)·w_a + noise, with the prior
+    w_a ~ N(w₀, prior_std²). On a kernel's features w₀ is the posterior mean of a value that all
+    actions share, y = φ(s)·w₀ + noise with w₀ ~ N(0, value_std²). On a trunk's features w₀ is the
+    action's last layer, learned with the trunk by gradient: calls return the squared TD error at
+    the mean weights.
+
+    Args:
+        actor: an actor whose network is a :class:`~bbq_torchrl.networks.GaussianProcess`.
+
+    Keyword Args:
+        noise_std: standard deviation of the noise of a target, in units of Q. Defaults to 3.
+        value_std: standard deviation of the prior of the shared value's weights. Defaults to 6.
+        sweeps: the number of regressions of a fit, each on the targets that the one before gives.
+            Defaults to 8.
+        target: "mean", or "draw": the values of the next states are those of one draw of the
+            posterior, the same in all sweeps (as in RLSVI, Osband et al. 2016). Defaults to "mean".
+        gamma: discount, a number or a tensor [*replicas]. Defaults to 0.9.
+        action_space: as in :class:`OneStepQLoss`.
+
+    Raises:
+        ValueError: for an invalid argument or another network.
+
+    Examples:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from torchrl.data import Categorical
+        >>> from bbq_torchrl.networks import GaussianProcess, StateFeatures, q_actor
+        >>> from bbq_torchrl.objectives import GPLoss
+        >>> network = GaussianProcess(StateFeatures(1, inducing=8), 2)
+        >>> loss = GPLoss(q_actor(network, Categorical(2), action_mask_key=None), noise_std=0.1)
+        >>> state = torch.arange(4.0).view(4, 1)
+        >>> end = dict(reward=state, terminated=torch.ones(4, 1).bool())
+        >>> td = TensorDict(
+        ...     observation=state, action=torch.ones(4).long(), next=dict(observation=state, **end)
+        ... )
+        >>> fitted = loss.fit(td.auto_batch_size_(1))
+        >>> network(state, "mean")[:, 1]
+        tensor([0.0..., 0.99..., 2.0..., 2.9...], grad_fn=...)
+    """
+
+    def __init__(
+        self,
+        actor: QValueActor,
+        *,
+        noise_std: float = 3.0,
+        value_std: float = 6.0,
+        sweeps: int = 8,
+        target: Target = "mean",
+        gamma: float | Tensor = 0.9,
+        action_space: str | TensorSpec | None = None,
+    ) -> None:
+        super().__init__(actor, gamma=gamma, action_space=action_space)
+        self.noise_std = check("noise_std", noise_std, ABOVE_ZERO)
+        self.value_std = check("value_std", value_std, ABOVE_ZERO)
+        self.sweeps = check("sweeps", sweeps, at_least(1))
+        self.target = check("target", target, TARGET)
+        networks = [m for m in self.value_network.modules() if isinstance(m, GaussianProcess)]
+        if len(networks) != 1:
+            raise ValueError(
+                f"actor must have one GaussianProcess, got {type(actor).__name__} with "
+                f"{len(networks)}"
+            )
+        # The actor's network, not a second submodule.
+        (self.__dict__["network"],) = networks
+
+    @property
+    def only_fits(self) -> bool:
+        """Whether :meth:`fit` is all the learning: nothing is learned by gradient."""
+        return isinstance(self.network.features, StateFeatures)
+
+    def _predict(
+        self, tensors: Sequence[Tensor], inputs: Inputs
+    ) -> tuple[Tensor, dict[str, Tensor]]:
+        return self._function(tensors, inputs, "mean"), {}
+
+    @torch.no_grad()
+    def fit(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Fits each replica's posterior to all of its transitions.
+
+        Inducing states are the first of a replica's rows, so these should be shuffled.
+
+        Args:
+            tensordict: transitions [*replicas, *batch], with "valid" if some are padding.
+
+        Returns:
+            "loss_value" (mean squared TD error after the last sweep), "td_error" and "q_value",
+            each [*replicas].
+        """
+        reward, index = self._reward_and_index(tensordict)
+        counts = rows_that_count(self, tensordict, reward.shape[:-1])
+        lead = self.replicas.numel()
+        after, key = tensordict["next"], self._function.in_keys[0]
+        legal = legal_actions(after, self._function.action_mask_key)
+        columns = {
+            "state": tensordict[key],
+            "after": after[key],
+            "index": index,
+            "reward": reward,
+            "terminated": after[self.tensor_keys.terminated],
+            **({} if legal is None else {"legal": legal}),
+        }
+        rows = TensorDict({name: self._rows_of(column) for name, column in columns.items()})
+        rows.auto_batch_size_(2)
+        gammas = self.value_estimator.gamma.expand(self.replicas).reshape(lead)
+        out = []
+        for replica, gamma in enumerate(gammas):
+            own = rows[replica]
+            own = own if counts is None else own[counts.reshape(lead, -1)[replica]]
+            out.append(self._fit(replica, own, gamma))
+        means = torch.stack(out, -1).view(3, *self.replicas)
+        return TensorDict(dict(zip(("loss_value", "td_error", "q_value"), means, strict=True)))
+
+    def _rows_of(self, entry: Tensor) -> Tensor:
+        """Returns [*replicas, *batch, n] as [L, B, n]."""
+        return entry.reshape(self.replicas.numel(), -1, entry.shape[-1])
+
+    def _fit(self, replica: int, rows: TensorDictBase, gamma: Tensor) -> Tensor:
+        """Fits a replica to its transitions [N]; returns the means of :meth:`fit`, [3]."""
+        network, std = self.network, self.noise_std
+        mean, factor = network.of_replica(replica)
+        index, action = rows["index"], rows["index"].squeeze(-1)
+        # the values of the last fit, whose features are other ones
+        values = network.features_of(replica, rows["after"])[0] @ mean.mT
+        prior, shared = mean.clone(), None
+        if isinstance(network.features, StateFeatures):
+            network.features.choose_(rows["state"], replica)
+        phi, _ = network.features_of(replica, rows["state"])
+        phi_after, rest = network.features_of(replica, rows["after"])
+        factor.copy_(posterior_factors(phi, action, len(mean), network.prior_std, std))
+        if self.only_fits:
+            nothing = torch.zeros_like(action)
+            shared = posterior_factors(phi, nothing, 1, self.value_std, std)
+        deviation: Tensor | float = 0.0
+        if self.target == "draw":
+            deviation = network.deviation(replica, phi_after, rest)
+        for _ in range(self.sweeps):
+            best = masked(values + deviation, rows.get("legal", None)).amax(-1, keepdim=True)
+            target = rows["reward"] + gamma * torch.where(rows["terminated"], 0, best)
+            if shared is not None:
+                prior = posterior_means(shared, phi, nothing, target.squeeze(-1), std)
+                prior = prior.expand_as(mean)
+            excess = (target - (phi @ prior.mT).gather(-1, index)).squeeze(-1)
+            mean.copy_(prior + posterior_means(factor, phi, action, excess, std))
+            values = phi_after @ mean.mT
+        chosen = (phi @ mean.mT).gather(-1, index)
+        error = target - chosen
+        return torch.stack([error.square().mean(), error.abs().mean(), chosen.mean()])
