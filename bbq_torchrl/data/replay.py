@@ -56,8 +56,8 @@ class ReplicaReplay:
     replicas are independent. An epoch is one permutation of each buffer
     (``SamplerWithoutReplacement``), gathered once and then split into batches of exactly
     [replicas, batch_size]. Buffers contain different numbers of rows until they are full, so the
-    last batches are padded. ``valid`` marks the rows that are not padding, and a replica whose
-    epoch has ended is marked inactive.
+    last batches are padded. ``valid`` marks the rows that are not padding, ``protected`` the
+    protected ones, if there are any, and a replica whose epoch has ended is marked inactive.
 
     Args:
         capacity: the maximum number of transitions in each buffer.
@@ -280,6 +280,9 @@ class ReplicaReplay:
         rows: TensorDictBase = gather_rows(
             self.buffers, self.stored_keys, indices, valid, self._computed
         )
+        if any(protected := self.protected):
+            first = torch.tensor(protected, device=self._device).unsqueeze(-1)
+            rows["protected"] = (indices < first) & valid
         if self.transform is not None:
             rows = self.transform(rows)
         return rows.unflatten(1, (rows.shape[1] // batch_size, batch_size)).unbind(1)

@@ -202,17 +202,21 @@ class BootstrapDQNLoss(OneStepQLoss):
             )
         if mask is not None and mask.shape != values.shape[:-1]:
             raise self._wrong_mask(mask, list(values.shape[:-1]))
+        heads = values.shape[:-1]
+
+        def by_head(entry: Tensor) -> Tensor:
+            """Returns an entry [*replicas, *batch, n] as [*replicas, K, B, n]."""
+            return self._by_head(self._like_values(entry).expand(*heads, entry.shape[-1]))
+
         with torch.no_grad():
             td_target = self._td_target(tensordict, online, target)
-            heads = values.shape[:-1]
             rows = None if weight is None else self._by_head(weight.expand(heads).unsqueeze(-1))
+        chosen = self._by_head(values), by_head(index)
         loss, td_error, q_value, square = td_loss(
-            self._by_head(values),
-            self._by_head(self._like_values(index).expand(*heads, 1)),
-            self._by_head(td_target),
-            rows,
-            self.loss_function,
+            *chosen, self._by_head(td_target), rows, self.loss_function
         )
+        if self._imitation is not None:
+            loss = loss + self._imitation_loss(tensordict, *chosen, rows, by_head)
         learns = torch.ones_like(square) if rows is None else (rows > 0).to(square.dtype)
         share = learns.sum(-3).clamp_min_(1)
         tensordict.set(keys.priority, (square.sum(-3) / share).reshape(reward.shape), inplace=True)

@@ -15,14 +15,15 @@ from torchrl.objectives import DQNLoss
 from torchrl.objectives.utils import ValueEstimators
 
 from bbq_torchrl.bayes.replicas import checked_number, replicas_of
-from bbq_torchrl.checks import PROBABILITY, check
+from bbq_torchrl.checks import ABOVE_ZERO, PROBABILITY, check
 from bbq_torchrl.networks.q_actor import legal_actions, masked
+from bbq_torchrl.objectives.margin import margin_loss
 from bbq_torchrl.objectives.rows import row_entry, row_weights
 from bbq_torchrl.objectives.td_loss import DISTANCE, Distance, td_loss
 from bbq_torchrl.objectives.value_function import ValueFunction
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from tensordict.utils import NestedKey
     from torch import Tensor, nn
@@ -82,9 +83,12 @@ class OneStepQLoss(DQNLoss):
         Attributes:
             next_state_value: under "next", the optional values from :meth:`next_state_values`.
                 Defaults to ``"next_state_value"``.
+            demonstrated: the optional mask of demonstrated transitions, bool [*replicas, *batch].
+                Defaults to ``"protected"``.
         """
 
         next_state_value: NestedKey = "next_state_value"
+        demonstrated: NestedKey = "protected"
 
     tensor_keys: _AcceptedKeys
     default_keys = _AcceptedKeys
@@ -94,6 +98,7 @@ class OneStepQLoss(DQNLoss):
     _target_mode: WeightMode = "mean"
     _scale: float | Tensor = 1.0  # factor of each row's loss; float64 if it is [*replicas]
     _kl_weight: Tensor  # factor of the KL, [*replicas]; only if _predict returns a KL
+    _imitation: tuple[float, float] | None = None  # margin and factor
 
     def __init__(
         self,
@@ -129,6 +134,22 @@ class OneStepQLoss(DQNLoss):
         self._function = ValueFunction(
             self.value_network, self.value_network_params, self.tensor_keys.action_value
         )
+
+    def imitate(self, margin: float, factor: float) -> None:
+        """Adds the large-margin loss of demonstrated transitions (Hester et al. 2018, "DQfD").
+
+        The actions of transitions marked under the key ``demonstrated`` are to have values ahead of
+        all others'. A :class:`~bbq_torchrl.data.ReplicaReplay` marks its protected rows. The
+        squared errors of these transitions still count.
+
+        Args:
+            margin: the difference of values to reach, in units of Q, above 0.
+            factor: factor of the mean over the batch, next to 1 for the error, above 0.
+
+        Raises:
+            ValueError: for an invalid argument.
+        """
+        self._imitation = check("margin", margin, ABOVE_ZERO), check("factor", factor, ABOVE_ZERO)
 
     # -- parameters -------------------------------------------------------------------------
 
@@ -217,15 +238,14 @@ class OneStepQLoss(DQNLoss):
         values, out = self._predict(online, self._inputs(tensordict, weight))
         with torch.no_grad():
             td_target = self._td_target(tensordict, online, target)
+        chosen = self._rows(values), self._rows(index)
+        weight = None if weight is None else self._rows(weight)
         loss_value, out["td_error"], out["q_value"], square = td_loss(
-            self._rows(values),
-            self._rows(index),
-            self._rows(td_target),
-            None if weight is None else self._rows(weight),
-            self.loss_function,
-            self._scale,
+            *chosen, self._rows(td_target), weight, self.loss_function, self._scale
         )
         tensordict.set(keys.priority, square.reshape(td_target.shape), inplace=True)
+        if self._imitation is not None:
+            loss_value = loss_value + self._imitation_loss(tensordict, *chosen, weight, self._rows)
         penalty = out.get("kl")
         if penalty is not None:
             loss_value = loss_value + penalty * self._kl_weight
@@ -233,6 +253,33 @@ class OneStepQLoss(DQNLoss):
         out["loss"] = loss_value.sum() if self.replicas else loss_value
         out["loss_value"] = loss_value.detach()
         return TensorDict(out)
+
+    def _imitation_loss(
+        self,
+        tensordict: TensorDictBase,
+        values: Tensor,
+        index: Tensor,
+        weight: Tensor | None,
+        rows: Callable[[Tensor], Tensor],
+    ) -> Tensor | float:
+        """Returns the loss of :meth:`imitate`, [*networks].
+
+        Args:
+            tensordict: a batch [*replicas, *batch].
+            values: [*networks, B, N].
+            index: [*networks, B, 1].
+            weight: [*networks, B, 1], or None.
+            rows: maps [*replicas, *batch, n] to [*networks, B, n].
+        """
+        assert self._imitation is not None
+        margin, factor = self._imitation
+        found = row_entry(tensordict, self.tensor_keys.demonstrated, tensordict.batch_size)
+        if found is None:
+            return 0.0
+        legal = legal_actions(tensordict, self._function.action_mask_key)
+        legal = None if legal is None else rows(legal)
+        loss = margin_loss(values, index, legal, rows(found), weight, margin)
+        return (loss * factor * self._scale).to(loss.dtype)
 
     def _inputs(self, tensordict: TensorDictBase, weight: Tensor | None) -> Inputs:
         """Returns the network's inputs, 0 in rows of weight 0, because NaN · 0 would be NaN."""

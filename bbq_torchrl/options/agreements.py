@@ -122,6 +122,17 @@ def _check_inducing(config: Config) -> None:
 
 
 @agreement
+def _check_imitation(config: Config) -> None:
+    """Refuses imitation by an agent that learns nothing by gradient."""
+    agent, margin = config.agent, config.spike.margin
+    if isinstance(agent, GP) and agent.features == "states" and margin:
+        raise ConfigError(
+            f"spike.margin must be 0 with agent.features=states, which learns no margin, got "
+            f"{margin:g}"
+        )
+
+
+@agreement
 def _check_kl(config: Config) -> None:
     """Refuses a sampled KL with domain extension."""
     if config.env.extends and isinstance(config.agent, BBQN) and config.agent.kl == "sampled":

@@ -20,6 +20,9 @@ from bbq_torchrl.checks import (
     ANY_TEXT as ANY_TEXT,
 )
 from bbq_torchrl.checks import (
+    AT_LEAST_ZERO as AT_LEAST_ZERO,
+)
+from bbq_torchrl.checks import (
     BATCH as BATCH,
 )
 from bbq_torchrl.checks import (

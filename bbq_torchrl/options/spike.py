@@ -9,19 +9,24 @@ from typing import TYPE_CHECKING, ClassVar
 from bbq_torchrl.options.registry import Option, register
 from bbq_torchrl.options.settings import (
     ANY_TEXT,
+    AT_LEAST_ZERO,
     BELOW_ONE,
     BOOLEAN,
     COUNT,
     NON_NEGATIVE_INTEGER,
+    POSITIVE,
     Allowed,
     ConfigError,
     option,
     optional,
+    other_default,
     setting,
 )
 from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
+    from torch import nn
+
     from bbq_torchrl.trainers import Policy, Spike
 
 
@@ -46,6 +51,15 @@ class SpikeOption(Option):
         "success in training above which a replica's spiked transitions are dropped for good",
     )
     drop_window: int = setting(5, COUNT, "rounds over which drop_above averages the success")
+    margin: float = setting(
+        0.0,
+        AT_LEAST_ZERO,
+        "margin, in units of Q, by which spiked actions are to be ahead of all others (DQfD); 0: "
+        "they are not imitated",
+    )
+    margin_factor: float = setting(
+        30.0, POSITIVE, "factor of the margin's loss, next to 1 for the squared error"
+    )
 
     def check(self) -> None:
         """Refuses keys without effect."""
@@ -66,6 +80,16 @@ class SpikeOption(Option):
                 "spike.drop_above cannot be combined with spike.protect=false: unprotected "
                 "transitions are evicted anyway, so spike.drop_above must be null"
             )
+        if self.margin and not self.protect:
+            raise ConfigError(
+                "spike.margin must be 0 with spike.protect=false, which does not tell spiked "
+                f"transitions from others, got {self.margin:g}"
+            )
+        if not self.margin and self.margin_factor != type(self).margin_factor:
+            raise ConfigError(
+                f"spike.margin_factor must be {type(self).margin_factor:g} with spike.margin=0, "
+                f"which imitates nothing, got {self.margin_factor:g}"
+            )
 
     def make(self, policy: Policy) -> Spike:
         """Makes the part that fills the buffer with the policy's dialogues."""
@@ -78,6 +102,21 @@ class SpikeOption(Option):
             drop_above=self.drop_above,
             drop_window=self.drop_window,
         )
+
+    def imitate(self, loss: nn.Module) -> None:
+        """Adds the margin's loss to an agent's loss.
+
+        Raises:
+            ConfigError: the agent's loss cannot imitate.
+        """
+        if not self.margin:
+            return
+        if not hasattr(loss, "imitate"):
+            raise ConfigError(
+                f"spike.margin must be 0 with a loss of type {type(loss).__name__}, which has no "
+                f"method imitate, got {self.margin:g}"
+            )
+        loss.imitate(self.margin, self.margin_factor)
 
 
 @register
@@ -108,3 +147,12 @@ class BestSpike(SpikeOption):
 
     name: str = option("best")
     takes_best: ClassVar[bool] = True
+
+
+@register
+@dataclass
+class ImitatedSpike(BestSpike):
+    """Dialogues of the domain's best script, whose actions are imitated (DQfD's margin loss)."""
+
+    name: str = option("imitate")
+    margin: float = other_default(SpikeOption, "margin", 5.0)

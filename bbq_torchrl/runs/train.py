@@ -196,7 +196,7 @@ def make_agent(config: Config, env: EnvBase) -> Agent:
     from torchrl.envs import Compose
 
     from bbq_torchrl.runs import build
-    from bbq_torchrl.trainers import derive_seed
+    from bbq_torchrl.trainers import derive_seed, losses_of
 
     torch.manual_seed(derive_seed(config.seed, "init"))
     task = build.task_of(config, env)
@@ -206,6 +206,7 @@ def make_agent(config: Config, env: EnvBase) -> Agent:
         config.explore, config.explore.make(actor, config.agent.make_greedy(actor), task)
     )
     loss, rewards = build.checked_loss(config.intrinsic, config.intrinsic.make(loss, task))
+    config.spike.imitate(losses_of(loss)[0])
     transforms = [*config.agent.make_transforms(task), *rewards]
     loss = loss.to(env.device)
     optimizer = config.agent.make_optimizer(actor, loss.parameters(), task)

@@ -1,0 +1,131 @@
+"""The large-margin loss of demonstrated transitions, against its definition."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from dynamics_losses import result
+from q_transitions import ACTIONS, flat, heads_loss, plain_loss, transitions
+
+from bbq_torchrl.data import ReplicaReplay
+from bbq_torchrl.objectives.margin import margin_loss
+
+
+def by_definition(values, action, legal, demonstrated, weight, margin):
+    """The loss of one network, row by row."""
+    total = 0.0
+    for row, chosen in enumerate(action.flatten().tolist()):
+        if demonstrated[row]:
+            ahead = [
+                values[row, other] + margin * (other != chosen)
+                for other in range(values.shape[-1])
+                if legal[row, other]
+            ]
+            total = total + weight[row] * (max(ahead) - values[row, chosen])
+    return total
+
+
+def marked(replicas=(), batch=(12,), **settings):
+    td = transitions(replicas, batch, dtype=torch.double, **settings)
+    td["protected"] = torch.rand(*td.shape) < 0.5
+    return td
+
+
+@pytest.mark.parametrize("weighs", [False, True])
+def test_the_loss_is_by_its_definition(weighs):
+    td, values = marked(batch=(40,)), 3 * torch.randn(40, ACTIONS, dtype=torch.double)
+    weight = torch.rand(40, 1).double() if weighs else None
+    rows = torch.full((40,), 1 / 40) if weight is None else weight
+    action, legal, which = td["action"].unsqueeze(-1), td["action_mask"], td["protected"]
+    found = margin_loss(values, action, legal, which.unsqueeze(-1), weight, 2.0)
+    expected = by_definition(values, action, legal, which, rows, 2.0)
+    torch.testing.assert_close(found, torch.as_tensor(expected).reshape(()).double())
+
+
+def test_a_loss_adds_it_to_the_mean_squared_error_of_each_replica():
+    loss, td = plain_loss((3,), dtype=torch.double)[0], marked((3,))
+    td["valid"] = torch.arange(12).expand(3, 12) < 9
+    before = loss(td)["loss_value"]
+    loss.imitate(2.0, 7.0)
+    added = loss(td)["loss_value"] - before
+    values = loss.value_network[0].module(td["observation"])
+    for replica in range(3):
+        one = td[replica, :9]
+        expected = by_definition(
+            values[replica], one["action"], one["action_mask"], one["protected"], [7 / 9] * 9, 2.0
+        )
+        torch.testing.assert_close(added[replica], torch.as_tensor(expected).detach())
+
+
+def test_each_head_prefers_the_demonstrated_actions_by_itself():
+    loss, td = heads_loss(dtype=torch.double)[0], marked()
+    td["bootstrap_mask"] = torch.rand(12, 3) < 0.7
+    td["bootstrap_mask"][-1] = True
+    before = loss(td)["loss"]
+    loss.imitate(2.0, 7.0)
+    added = loss(td)["loss"] - before
+    values = loss.value_network[0].module(td["observation"])
+    expected = sum(
+        by_definition(
+            values[:, head],
+            td["action"],
+            td["action_mask"],
+            td["protected"],
+            7 * (own := td["bootstrap_mask"][:, head].double()) / own.sum(),
+            2.0,
+        )
+        for head in range(3)
+    )
+    torch.testing.assert_close(added, expected)
+
+
+def test_every_loss_learns_the_margin_and_only_from_marked_rows(make):
+    loss, td = make(dtype=torch.double, data_only=True), marked()
+    before = result(loss, td)
+    loss.imitate(2.0, 7.0)
+    unmarked = td.clone().set("protected", torch.zeros(12, dtype=torch.bool))
+    for other in (unmarked, td.exclude("protected")):
+        assert torch.equal(result(loss, other)["loss"], before["loss"])
+    assert result(loss, td)["loss"] > before["loss"]
+    loss.set_keys(demonstrated="mine")
+    assert torch.equal(result(loss, td)["loss"], before["loss"])
+
+
+def test_a_network_comes_to_prefer_what_is_demonstrated_although_it_pays_less():
+    loss, td = plain_loss(hidden=(32,))[0], transitions(batch=(16,), ends=1.0)
+    td["next", "reward"] = torch.full((16, 1), -3.0)
+    td["protected"] = torch.ones(16, dtype=torch.bool)
+    loss.imitate(1.0, 20.0)
+    optimizer = torch.optim.Adam(loss.parameters(), 0.01)
+    for _ in range(500):
+        optimizer.zero_grad()
+        loss(td)["loss"].backward()
+        optimizer.step()
+    values = loss.value_network[0].module(td["observation"])
+    best = values.masked_fill(~td["action_mask"], -torch.inf).argmax(-1)
+    assert torch.equal(best, td["action"])
+    assert flat(loss, "weight").grad is not None
+
+
+@pytest.mark.parametrize(("margin", "factor"), [(0, 1), (-1, 1), (1, 0), (float("nan"), 1)])
+def test_a_margin_and_a_factor_are_above_zero(margin, factor):
+    with pytest.raises(ValueError, match=r"(margin|factor) must be .*, got"):
+        plain_loss()[0].imitate(margin, factor)
+
+
+def test_a_replay_marks_its_protected_rows_in_whatever_order_they_come():
+    replay = ReplicaReplay(8, replicas=2, keys=["action"])
+
+    def rows(*numbers):
+        return transitions(batch=(len(numbers),)).set("action", torch.tensor(numbers))
+
+    replay.extend([rows(0, 1, 2), rows(0, 1)])
+    assert replay.epoch(4)[0].transitions.get("protected", None) is None
+    replay.protect()
+    replay.extend([rows(7, 7, 7, 7, 7, 7, 7), rows(7)])
+    for batch in (*replay.epoch(3), *next(replay.batches(3, 4))):
+        seen = batch.transitions
+        assert torch.equal(seen["protected"], (seen["action"] < 7) & seen["valid"])
+    replay.drop_protected(0)
+    marks = torch.cat([batch.transitions["protected"] for batch in replay.epoch(3)], -1)
+    assert marks.sum(-1).tolist() == [0, 2]
