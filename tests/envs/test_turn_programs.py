@@ -38,8 +38,9 @@ def turns(env):
     return told
 
 
-def test_neither_a_turn_nor_a_reset_waits_for_the_device(movie):
-    env = make_env(movie)
+@pytest.mark.parametrize("users", ["paper", "people"])
+def test_neither_a_turn_nor_a_reset_waits_for_the_device(movie, users):
+    env = make_env(movie, users=users)
     state = env.reset()
     state["action"] = env.rand_action()["action"]
     state["_reset"] = torch.rand(2, 5, 1) < 0.5
@@ -49,20 +50,23 @@ def test_neither_a_turn_nor_a_reset_waits_for_the_device(movie):
         env._reset()
 
 
+@pytest.mark.parametrize("users", ["paper", "people"])
 @pytest.mark.parametrize("mode", ["value", "slot", "delete", "mixed", "measured"])
-def test_everything_that_a_turn_uses_is_on_its_device(movie, mode):
+def test_everything_that_a_turn_uses_is_on_its_device(movie, mode, users):
     # Tensors on the device "meta" have no numbers: code that reads one, or mixes them with tensors
     # on the CPU, fails.
     tensors = tensorize(movie)
     errors = load_errors(movie) if mode == "measured" else ErrorModel(tensors, 0.3, mode, 0.2)
-    simulator = Simulator(tensors, errors=errors).to("meta")
+    simulator = Simulator(tensors, errors=errors, users=users).to("meta")
     active = torch.ones(tensors.n_slots, dtype=torch.bool, device="meta")
     action = torch.zeros(7, dtype=torch.int64, device="meta")
     with NeverWaits():
         state = simulator.reset(simulator.draw_reset((7,)), active)
         state = simulator.turn(state, action, simulator.draw_turn((7,)), active)
         features = simulator.observe(state, active)
-    assert {features.device.type, *(entry.device.type for entry in state.values())} == {"meta"}
+    assert {features.device.type, *(entry.device.type for entry in state.values(True, True))} == {
+        "meta"
+    }
 
 
 @pytest.mark.slow

@@ -13,9 +13,9 @@ from bbq_torchrl.simulator.choices import index_below, pick_slot
 NAN = float("nan")
 
 
-def simulator_of(domain, errors=None):
+def simulator_of(domain, errors=None, users="paper"):
     tensors = tensorize(domain)
-    return Simulator(tensors, errors=errors or ErrorModel(tensors, 0.3, "mixed", 0.2))
+    return Simulator(tensors, errors=errors or ErrorModel(tensors, 0.3, "mixed", 0.2), users=users)
 
 
 def play(simulator, shape, turns=12):
@@ -33,8 +33,9 @@ def play(simulator, shape, turns=12):
 
 @pytest.mark.parametrize("domain_name", ["movie", "restaurant"])
 @pytest.mark.parametrize("shape", [(), (1,), (2, 1, 4), (0,)])
-def test_a_batch_of_any_shape_plays_as_the_flat_one(domain_name, shape, request):
-    simulator = simulator_of(request.getfixturevalue(domain_name))
+@pytest.mark.parametrize("users", ["paper", "people"])
+def test_a_batch_of_any_shape_plays_as_the_flat_one(domain_name, shape, users, request):
+    simulator = simulator_of(request.getfixturevalue(domain_name), users=users)
     count = torch.Size(shape).numel()
     for turns in (0, 12):
         state, *_, active = play(simulator, shape, turns)
@@ -70,9 +71,10 @@ def test_draws_are_uniform_and_named_as_documented(movie):
         assert abs(value.double().mean() - 0.5) < 5 / (12 * value.numel()) ** 0.5
 
 
+@pytest.mark.parametrize("users", ["paper", "people"])
 @pytest.mark.parametrize("channel", [None, load_errors], ids=["error model", "measured"])
-def test_a_turn_compiles_without_a_graph_break(movie, channel):
-    simulator = simulator_of(movie, channel and channel(movie))
+def test_a_turn_compiles_without_a_graph_break(movie, channel, users):
+    simulator = simulator_of(movie, channel and channel(movie), users)
     # The backend "eager" traces the whole turn but generates no code.
     torch._dynamo.reset()
     compiled = torch.compile(simulator.play, fullgraph=True, backend="eager", dynamic=False)
