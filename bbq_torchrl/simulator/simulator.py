@@ -171,10 +171,10 @@ class Simulator:
             of the users' traits.
         """
         per_slot, per_dialogue = ["constraint", "request"], ["goal"]
-        sources = [self.errors] if self.errors.mishears_all else []
-        for source in (*sources, *([] if self.mix is None else [self.mix])):
-            per_slot += source.slot_draws
-            per_dialogue += source.draws
+        for source in (self.errors if self.errors.mishears_all else None, self.mix):
+            if source is not None:
+                per_slot += source.slot_draws
+                per_dialogue += source.draws
         return self._draw(per_slot, per_dialogue, batch_shape, generator)
 
     def draw_turn(
