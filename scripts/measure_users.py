@@ -5,7 +5,9 @@
         hydra.run.dir=runs/users/${agent}_$users; done; done
     python scripts/measure_users.py shipped:bbqn_map shipped:dqn runs/users/* [--dialogues 2000]
 
-plays these runs and the scripted policy ``repair`` with the users of both kinds.
+plays these runs and the scripted policy ``repair`` with the users of both kinds. ``answers`` is the
+share of turns with a question in which the agent answers it at once, ``answers_after_offer`` the
+same of the turns after an offer.
 ``warns_of_users`` is the probability that a dialogue with ``people`` is more uncertain than one
 with ``paper`` of the same goal; ``warns_of_failure`` that a failure is more uncertain than a
 success. A dialogue's uncertainty is the entropy of the best action over 20 draws of the weights
@@ -39,8 +41,10 @@ from bbq_torchrl.utils import output
 if TYPE_CHECKING:
     from collections.abc import Iterator
 
+    from tensordict import TensorDictBase
     from tensordict.nn import TensorDictModuleBase
 
+    from bbq_torchrl.envs import DialogueEnv
     from bbq_torchrl.options import Config
 
 RESULT = Path(__file__).parents[1] / "results" / "users.csv"
@@ -48,7 +52,8 @@ PLAYED = ("paper", "people")
 _TURNS, _DRAWS, _BATCH, _SEED = 5, 20, 500, 0
 _HEAD = (
     *("agent", "trained_on", "rounds", "seed", "replica", "played_with", "dialogues"),
-    *("success", "reward", "turns", "warns_of_users", "warns_of_failure"),
+    *("success", "reward", "turns", "answers", "answers_after_offer"),
+    *("warns_of_users", "warns_of_failure"),
 )
 
 
@@ -73,6 +78,24 @@ def uncertainty(policy: TensorDictModuleBase, seen: torch.Tensor) -> torch.Tenso
             drawn = torch.stack([values() for _ in range(_DRAWS)], -2)
     best = torch.nn.functional.one_hot(drawn.argmax(-1), drawn.shape[-1]).float().mean(-2)
     return torch.special.entr(best).sum(-1)
+
+
+def answers(env: DialogueEnv, batch: TensorDictBase) -> tuple[torch.Tensor, ...]:
+    """Counts the turns with a question and the answers to it, each float32 ``[R, dialogues]``.
+
+    Returns:
+        Both for all turns, then both for those after an offer.
+    """
+    domain, layout, seen = env.simulator.domain, env.layout, batch["observation"] > 0
+    asked = seen[..., layout["user_requested"]]
+    asked[..., domain.ticket] = False
+    told = domain.action_slot[batch["action"]].clamp(min=0)[..., None]
+    is_inform = (domain.action_act == domain.act["inform"])[batch["action"]]
+    has_asked = asked.any(-1) & batch["valid"]
+    is_answer = has_asked & is_inform & asked.gather(-1, told).squeeze(-1)
+    is_late = seen[..., layout["agent_informed"]][..., domain.complete]
+    flags = (has_asked, is_answer, has_asked & is_late, is_answer & is_late)
+    return tuple(flag.float().sum(-1) for flag in flags)
 
 
 def area(high: torch.Tensor, low: torch.Tensor, pairs: torch.Tensor) -> float:
@@ -108,9 +131,11 @@ def rows_of(config: Config, folder: Path | None, dialogues: int) -> Iterator[tup
                 soon, valid = batch["observation"][..., :_TURNS, :], batch["valid"][..., :_TURNS]
                 of_turns = uncertainty(policy, soon.flatten(1, 2)).view(valid.shape)
                 entropy = (of_turns * valid).sum(-1) / valid.sum(-1)
-            found.append((*stats, entropy, batch["goal_id"][..., 0, 0]))
+            goal = batch["goal_id"][..., 0, 0]
+            found.append((*stats, entropy, goal, *answers(env, batch)))
         known[users] = [torch.cat(parts, -1) for parts in zip(*found, strict=True)]
-        success, reward, turns, entropy, goal = known[users]
+        success, reward, turns, entropy, goal, *counts = known[users]
+        asked, told, asked_late, told_late = (count.sum(-1) for count in counts)
         for replica in range(config.replicas):
             warns = ["", ""]
             if is_uncertain:
@@ -125,6 +150,8 @@ def rows_of(config: Config, folder: Path | None, dialogues: int) -> Iterator[tup
             yield (
                 *(*run, str(replica), users, str(dialogues)),
                 *(f"{float(mean):.4f}" for mean in means),
+                f"{float(told[replica] / asked[replica]):.4f}",
+                f"{float(told_late[replica] / asked_late[replica]):.4f}",
                 *warns,
             )
 

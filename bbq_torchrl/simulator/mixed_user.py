@@ -81,6 +81,12 @@ class MixedUser(User):
         act, informs, is_met = reply["user_act"], reply["meant_informs"], reply["constraints_met"]
         agenda = reply["agenda"] | (later & ~(agent.is_slot & agent.is_inform[..., None]))
 
+        # A question passed over once too often: the user leaves before the agent's next turn.
+        waiting = state["pending"] & is_question
+        is_answer = (waiting & agent.is_slot).any(-1) & agent.is_inform
+        is_ignored = waiting.any(-1) & listens & ~(is_answer | agent.is_request)
+        bears = traits["bears"] - is_ignored.long()
+
         # Corrections of a value told, and of an offer.
         told = agent.is_slot & is_constraint & agent.is_inform[..., None]
         is_right = agent.value[..., None] == constraints
@@ -95,7 +101,7 @@ class MixedUser(User):
 
         # One question at a time, until it is answered; some come after the offer.
         insists, pending = column(traits["insists"]), reply["pending"]
-        asked = state["pending"] & agenda & is_question
+        asked = waiting & agenda
         again = insists & asked.any(-1, keepdim=True)
         pending = torch.where(again, asked, pending)
         has_question = (pending & is_question).any(-1, keepdim=True)
@@ -119,7 +125,9 @@ class MixedUser(User):
         return {
             **reply,
             "constraints": constraints,
-            "traits": traits.replace(other=other),
+            "traits": traits.replace(
+                other=other, bears=bears, limit=torch.where(bears > 0, traits["limit"], 0)
+            ),
             "pending": pending,
             "user_act": act,
             **self._tell(traits, constraints, informs, agenda, agent.is_slot | changed, tells),

@@ -54,6 +54,8 @@ class Profile:
     Args:
         share: the share of the mix's dialogues.
         patience: least and most turns of the agent after which the user leaves, a failure.
+        bears: least and most times that the agent may pass over its questions, by any act but the
+            answer or a request; after the last it leaves, a failure.
         tells: least and most constraints told in a turn in which the user tells any value.
         insists: probability that it asks one question at a time, in every turn until it is
             answered, also while it answers the agent.
@@ -73,6 +75,7 @@ class Profile:
 
     share: float = 1.0
     patience: Sequence[int] | None = None
+    bears: Sequence[int] | None = None
     tells: Sequence[int] | None = None
     insists: float = 0.0
     asks_late: float = 0.0
@@ -85,6 +88,7 @@ class Profile:
     def __post_init__(self) -> None:
         check("share", self.share, ABOVE_ZERO_TO_ONE)
         check("patience", self.patience, _RANGE)
+        check("bears", self.bears, _RANGE)
         check("tells", self.tells, _RANGE)
         for habit in HABITS:
             check(habit, getattr(self, habit), PROBABILITY)
@@ -98,6 +102,7 @@ def _people(share: float, tells: tuple[int, int], patience: tuple[int, int]) -> 
     return Profile(
         share,
         patience,
+        (2, 4),
         tells,
         insists=0.8,
         asks_late=0.5,
@@ -199,7 +204,7 @@ class Mix(Movable):
     """
 
     slot_draws = ("order", "other")
-    draws = ("profile", "patience", "tells", "changes_at", *HABITS)
+    draws = ("profile", "patience", "bears", "tells", "changes_at", *HABITS)
 
     def __init__(self, domain: DomainTensors, profiles: Sequence[Profile]) -> None:
         check_slots(profiles, domain.slot)
@@ -207,6 +212,7 @@ class Mix(Movable):
         self._below = shares.cumsum(0)[:-1]
         # A user without a limit stays longer than any dialogue, and tells 0 means the paper's rule.
         self._patience = torch.tensor([kind.patience or (10**6, 10**6) for kind in profiles])
+        self._bears = torch.tensor([kind.bears or (10**6, 10**6) for kind in profiles])
         self._tells = torch.tensor([kind.tells or (0, 0) for kind in profiles])
         self._habits = torch.tensor(
             [[float(getattr(kind, habit)) for habit in HABITS] for kind in profiles]
@@ -224,6 +230,7 @@ class Mix(Movable):
         key             dtype  shape     meaning
         ==============  =====  ========  ===========================================================
         ``limit``       long   ``*B``    acts of both sides after which the user leaves
+        ``bears``       long   ``*B``    how often the agent may still pass over a question
         ``tells``       long   ``*B``    constraints told in a turn; 0: as in the paper
         ``order``       long   ``*B, S``  rank of each slot; the user prefers higher ones
         ``other``       long   ``*B, S``  the value that would replace a constraint; 0: none
@@ -249,6 +256,7 @@ class Mix(Movable):
         return TensorDict(
             {
                 "limit": 2 * _within(rows(self._patience, profile), draws["patience"]),
+                "bears": _within(rows(self._bears, profile), draws["bears"]),
                 "tells": _within(rows(self._tells, profile), draws["tells"]),
                 "order": draws["order"].argsort(stable=True, dim=-1).argsort(-1),
                 "other": torch.where(may_change, other, NONE),

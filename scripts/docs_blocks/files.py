@@ -60,6 +60,37 @@ def _control() -> str:
     return table(("rules", "success", "turns"), rows)
 
 
+@block("environment.users")
+def _users() -> str:
+    """Returns the table of agents by the users they learned from and play with."""
+    found: dict[tuple[str, ...], dict[str, list[dict[str, str]]]] = {}
+    with (RESULTS / "users.csv").open(encoding="utf-8", newline="") as file:
+        for row in csv.DictReader(file):
+            run = (row["agent"], row["trained_on"] or "–", row["rounds"] or "–")
+            found.setdefault(run, {}).setdefault(row["played_with"], []).append(row)
+    head = ("agent", "trained on", "rounds", "runs", "paper", "people")
+    more = ("answers at once", "after an offer", "warns of people", "warns of failure")
+    keys = ("answers", "answers_after_offer", "warns_of_users", "warns_of_failure")
+    rows = [
+        (
+            *(*run, str(len(played["people"]))),
+            *(_mean(played[users], "success") for users in ("paper", "people")),
+            *(_mean(played["people"], key) for key in keys),
+        )
+        for run, played in found.items()
+    ]
+    return table((*head, *more), rows)
+
+
+def _mean(rows: list[dict[str, str]], key: str) -> str:
+    """Returns the mean of a column, and its range over several runs."""
+    values = [float(row[key]) for row in rows if row[key] not in ("", "nan")]
+    if not values:
+        return "–"
+    mean = f"{sum(values) / len(values):.2f}"
+    return mean if len(values) == 1 else f"{mean} ({min(values):.2f}–{max(values):.2f})"
+
+
 def copy_figures() -> None:
     """Copies the figures of that report to docs/figures/."""
     for name in ("success", "ratings"):

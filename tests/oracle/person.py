@@ -33,6 +33,7 @@ class Person(User):
         self.error_prob = profile.slot_error_prob
         if profile.patience is not None:
             self.leaves_after = 2 * between(profile.patience, draws["patience"])
+        self.bears = 0 if profile.bears is None else between(profile.bears, draws["bears"])
         self.tells = None if profile.tells is None else between(profile.tells, draws["tells"])
         self.liking = {slot: (draws["order"][n], n) for n, slot in enumerate(world.slots)}
         self.replies, self.changed = 0, ""
@@ -99,6 +100,10 @@ class Person(User):
     ) -> None:
         """Answers an agent act that does not end the dialogue."""
         asked, told = self._questions(self.pending), set(self.constraints) - self.agenda
+        if self.bears and asked and kind != "request" and not (kind == "inform" and slot in asked):
+            self.bears -= 1
+            self.fired["person: is passed over"] += 1
+            self.leaves_after = self.leaves_after if self.bears else 0
         self.changed = self._change_mind(told)
         later = set()
         if self.is_prone["asks_late"] and not self.constraints_met and kind != "request":

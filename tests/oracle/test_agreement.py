@@ -32,8 +32,8 @@ SETTINGS = (
 ANY = {"insists": 0.5, "asks_late": 0.5, "confirms": 0.5, "withholds": 0.5, "explains": 0.5}
 PEOPLE = (
     Profile(0.2),
-    Profile(0.5, (5, 20), (1, 3), changes_mind=0.7, **ANY),
-    Profile(0.3, None, (2, 9), **ANY, slot_error_prob={"date": 0.6, "moviename": 0.0}),
+    Profile(0.5, (5, 20), None, (1, 3), changes_mind=0.7, **ANY),
+    Profile(0.3, None, (1, 6), (2, 9), **ANY, slot_error_prob={"date": 0.6, "moviename": 0.0}),
 )
 USERS = (
     Setting(users=PEOPLE),
@@ -73,6 +73,7 @@ PERSON_RULES = {
             "denies a value",
             "explains",
             "asks again",
+            "is passed over",
             "asks after the offer",
             "thanks after the last answer",
             "tells less",

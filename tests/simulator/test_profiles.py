@@ -103,6 +103,24 @@ def test_a_user_leaves_when_its_patience_ends(movie):
     assert (shares - 0.25).abs().max() < 4 * (0.25 * 0.75 / SHAPE[0]) ** 0.5
 
 
+def test_a_user_leaves_when_its_questions_are_passed_over(movie):
+    simulator, states = play(movie, {"bears": [2, 2], "insists": 1.0}, 7)
+    ticket, acts = simulator.domain.ticket, simulator.domain.act
+    passed = torch.zeros(SHAPE, dtype=torch.long)
+    for before, after in pairwise(states):
+        left = (passed == 2) & ~before["done"]
+        assert (after["done"] & ~after["success"])[left].all()
+        assert not (after["done"] & ~before["done"] & ~left & (after["turn"] <= 40)).any()
+        asked = before["pending"].clone()
+        asked[..., ticket] = False
+        is_answer = (asked & (after["agent_informs"] != NONE)).any(-1)
+        is_request = after["agent_act"] == acts["request"]
+        is_offer = after["agent_informs"][..., simulator.domain.complete] != NONE
+        ignored = asked.any(-1) & ~is_request & (is_offer | ~is_answer)
+        passed += (ignored & ~after["done"]).long()
+    assert passed.max() == 2
+
+
 @pytest.mark.parametrize("most", [1, 3])
 def test_a_user_tells_as_many_constraints_as_it_does(movie, most):
     _, states = play(movie, {"tells": [most, most]}, 3)
