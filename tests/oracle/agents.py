@@ -21,6 +21,10 @@ ODD = 0.3
 ASKS_AGAIN = 0.5
 """The probability that an agent about to succeed asks again, so that an error can still occur."""
 
+ANSWERS, TELLS = 0.7, 0.25
+"""With users that differ: the probabilities that an agent answers a question before it ends, and
+that it tells a constraint."""
+
 CLOSES = 0.2
 """The probability that an agent closes instead of giving thanks."""
 
@@ -48,6 +52,12 @@ class StrayingAgent:
         if self.random.random() < self.stray:
             return self.random.choice(self.odd if self.random.random() < ODD else self.legal)
         action = "thanks" if self.has_asked_again else self.policy(dialogue)
+        if dialogue.world.setting.users:
+            user, ends = dialogue.user, action == "thanks"
+            slots = user.pending - {dialogue.world.ticket} if ends else user.constraints
+            told = [name for slot in sorted(slots) if (name := f"inform({slot})") in self.legal]
+            if told and self.random.random() < (ANSWERS if ends else TELLS):
+                return self.random.choice(told)
         if action == "thanks" and not dialogue.user.faults():
             again = [f"request({slot})" for slot in dialogue.user.constraints]
             again = [name for name in again if name in self.legal]

@@ -37,6 +37,7 @@ PEOPLE = (
 )
 USERS = (
     Setting(users=PEOPLE),
+    Setting(users=(Profile(asks_late=1.0, explains=0.5),)),
     Setting(users=MIXES["people"], slot_error_prob=0.15, intent_error_prob=0.1),
     Setting(users=PEOPLE, slot_error_prob=0.3, slot_error_mode="mixed", extension=4, max_turn=23),
 )
@@ -114,7 +115,7 @@ def test_the_simulator_agrees_with_the_oracle_where_several_slots_open_a_dialogu
 
 
 def test_the_simulator_agrees_with_the_oracle_on_users_that_differ(movie, restaurant):
-    played = play(movie, 400, seed=800, settings=USERS)
+    played = play(movie, 320, seed=800, settings=USERS)
     assert_at_work(PERSON_RULES, played)
     assert_at_work(BOOKS, play(many_wishes(), 200, seed=900, settings=USERS))
     few = [replace(setting, users=MIXES["mixed"]) for setting in FEW]
