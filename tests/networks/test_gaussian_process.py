@@ -1,0 +1,176 @@
+"""A Gaussian process on features next to exact ones, and its draws next to their moments."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+import torch
+from tensordict import TensorDict
+from torchrl.data import Categorical
+
+from bbq_torchrl.bayes import weight_scope
+from bbq_torchrl.bayes.linear_regression import posterior_factors, posterior_means
+from bbq_torchrl.networks import GaussianProcess, StateFeatures, TrunkFeatures, q_actor
+from bbq_torchrl.objectives import GPLoss
+
+FEATURES, ACTIONS, ROWS = 5, 3, 40
+PRIOR_STD, NOISE_STD, VALUE_STD = 1.5, 0.7, 2.5
+
+
+def angle(x, y):
+    """Cho and Saul's kernel of degree 1 of (x, 1) and (y, 1), twice, from its definition."""
+    x, y = (torch.cat([s, torch.ones(len(s), 1)], 1) for s in (x, y))
+    cosine = (x @ y.T) / torch.outer(x.norm(dim=1), y.norm(dim=1))
+    for _ in range(2):
+        theta = torch.arccos(cosine.clamp(-1, 1))
+        cosine = (torch.sin(theta) + (math.pi - theta) * torch.cos(theta)) / math.pi
+    return cosine
+
+
+def gaussian(x, y, length):
+    return torch.exp(-((x[:, None] - y[None]) ** 2).sum(-1) / (2 * length**2))
+
+
+def episodes(rows=ROWS, replicas=()):
+    """Transitions of one step each, whose targets are their rewards."""
+    shape = (*replicas, rows)
+    ends = {"reward": torch.randn(*shape, 1), "terminated": torch.ones(*shape, 1).bool()}
+    states = torch.randn(*shape, FEATURES)
+    return TensorDict(
+        observation=states,
+        action=torch.randint(ACTIONS, shape),
+        next={"observation": states, **ends},
+        batch_size=shape,
+    )
+
+
+def fitted(features, data, **settings):
+    network = GaussianProcess(features, ACTIONS, prior_std=PRIOR_STD)
+    actor = q_actor(network, Categorical(ACTIONS), action_mask_key=None)
+    GPLoss(actor, **{"noise_std": NOISE_STD, "value_std": VALUE_STD, **settings}).fit(data)
+    return network
+
+
+def covariance(network, states):
+    """The covariance of a draw's values of each action, [A, N, N], from its linear map."""
+    weights = torch.eye(network.posterior.mu.shape[-1])
+    with torch.no_grad():
+        mean = network(states, "mean")
+        values = network(states.expand(len(weights), *states.shape), weights=weights) - mean
+    return torch.einsum("pna,pma->anm", values, values)
+
+
+@pytest.mark.parametrize("kernel", ["arccos", "rbf"])
+def test_with_all_states_as_inducing_states_it_is_an_exact_gaussian_process(kernel):
+    data, unseen = episodes(), torch.randn(7, FEATURES)
+    network = fitted(StateFeatures(FEATURES, ROWS, kernel=kernel, lengthscale=0.8), data)
+
+    seen, reward = data["observation"], data["next", "reward"].squeeze(-1)
+    length = 0.8 * torch.pdist(seen).median()
+
+    def k(x, y):
+        return angle(x, y) if kernel == "arccos" else gaussian(x, y, length)
+
+    noise = NOISE_STD**2 * torch.eye(ROWS)
+    at_rewards = torch.linalg.solve(VALUE_STD**2 * k(seen, seen) + noise, reward)
+    shared = [VALUE_STD**2 * k(x, seen) @ at_rewards for x in (seen, unseen)]
+    with torch.no_grad():
+        means = network(unseen, "mean")
+    variances = covariance(network, unseen).diagonal(dim1=-2, dim2=-1)
+    for action in range(ACTIONS):
+        rows = data["action"] == action
+        own = PRIOR_STD**2 * k(seen[rows], seen[rows]) + noise[rows][:, rows]
+        cross = PRIOR_STD**2 * k(unseen, seen[rows])
+        mean = shared[1] + cross @ torch.linalg.solve(own, (reward - shared[0])[rows])
+        variance = PRIOR_STD**2 - (cross * torch.linalg.solve(own, cross.T).T).sum(-1)
+        torch.testing.assert_close(means[:, action], mean, rtol=0, atol=1e-3)
+        torch.testing.assert_close(variances[action], variance, rtol=0, atol=1e-3)
+
+
+def test_far_from_the_inducing_states_it_is_the_prior():
+    network = fitted(StateFeatures(FEATURES, 4, kernel="rbf"), episodes())
+    far = torch.full((2, FEATURES), 100.0)
+    assert network(far, "mean").abs().max() < 1e-6
+    torch.testing.assert_close(
+        covariance(network, far).diagonal(dim1=-2, dim2=-1),
+        torch.full((ACTIONS, 2), PRIOR_STD**2),
+    )
+
+
+def test_factors_and_means_are_those_of_one_regression_on_all_weights():
+    phi, action, target = torch.randn(30, 4).double(), torch.randint(3, (30,)), torch.randn(30)
+    action[action == 1] = 0  # an action without data has its prior
+    design = torch.zeros(30, 3, 4).double()
+    design[range(30), action] = phi
+    design = design.flatten(1)
+    precision = design.T @ design / NOISE_STD**2 + torch.eye(12) / PRIOR_STD**2
+    expected = torch.linalg.solve(precision, design.T @ target.double() / NOISE_STD**2)
+
+    factors = posterior_factors(phi, action, 3, PRIOR_STD, NOISE_STD)
+    means = posterior_means(factors, phi, action, target.double(), NOISE_STD)
+
+    torch.testing.assert_close(means.flatten(), expected)
+    torch.testing.assert_close(torch.block_diag(*(factors.mT @ factors)), precision.inverse())
+
+
+@pytest.mark.parametrize("replicas", [(), (2,), (2, 3)])
+@pytest.mark.parametrize("kind", ["states", "trunk"])
+def test_draws_for_each_row_have_the_moments_of_weight_draws(kind, replicas):
+    """Both are draws of one Gaussian: each mean and variance within five standard errors."""
+    if kind == "states":
+        features = StateFeatures(FEATURES, 10, replicas=replicas)
+    else:
+        features = TrunkFeatures(FEATURES, (6,), replicas=replicas)
+    network, count = fitted(features, episodes(replicas=replicas)), 4_000
+    state = torch.randn(FEATURES)
+    with torch.no_grad():
+        local = network(state.expand(*replicas, count, FEATURES), "local")
+        with weight_scope(weights={network: network.draw_weights((count,))}):
+            drawn = network(state.expand(*replicas, count, 1, FEATURES)).squeeze(-2)
+        mean = network(state.expand(*replicas, 1, FEATURES), "mean").squeeze(-2)
+    variance = (local.var(-2) + drawn.var(-2)) / 2
+    for values in (local, drawn):
+        assert ((values.mean(-2) - mean).abs() < 5 * (variance / count).sqrt()).all()
+        assert ((values.var(-2) / variance - 1).abs() < 5 * math.sqrt(2 / count)).all()
+
+
+def test_one_draw_for_all_rows_is_one_function():
+    network = fitted(StateFeatures(FEATURES, 10), episodes())
+    states = torch.randn(6, FEATURES)
+    weights = network.draw_weights()
+    with weight_scope(weights={network: weights}):
+        at_once = network(states)
+        one_by_one = torch.cat([network(state[None]) for state in states])
+    torch.testing.assert_close(at_once, one_by_one)
+    assert (at_once - network(states, "mean")).abs().min() > 0
+
+
+def test_a_feature_that_comes_later_changes_no_value_before():
+    """The weights of a trunk's inactive inputs are 0, and a kernel does not see constants of 0."""
+    for features in (TrunkFeatures(FEATURES, (6,)), StateFeatures(FEATURES, 8)):
+        network = GaussianProcess(features, ACTIONS)
+        inactive = torch.tensor([False] * (FEATURES - 1) + [True])
+        with torch.no_grad():
+            network.reset_inactive_(inactive, torch.zeros(ACTIONS).bool())
+        x = torch.randn(4, FEATURES)
+        changed = x.clone()
+        changed[:, -1] = 1
+        if isinstance(features, TrunkFeatures):
+            torch.testing.assert_close(network(x, "mean"), network(changed, "mean"))
+        else:
+            assert not network(x, "mean").any()
+
+
+@pytest.mark.parametrize(
+    ("make", "message"),
+    [
+        (lambda: StateFeatures(3, 0), "inducing must be at least 1, got 0"),
+        (lambda: StateFeatures(3, 2, kernel="linear"), "kernel must be one of arccos, rbf, got"),
+        (lambda: StateFeatures(3, 2, lengthscale=0), "lengthscale must be positive"),
+        (lambda: GaussianProcess(StateFeatures(3, 2), 2, prior_std=0), "prior_std must be posit"),
+    ],
+)
+def test_invalid_arguments_are_refused(make, message):
+    with pytest.raises(ValueError, match=message):
+        make()

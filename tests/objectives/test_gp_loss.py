@@ -1,0 +1,176 @@
+"""The closed-form fit of Q next to dynamic programming, and its replicas."""
+
+from __future__ import annotations
+
+import pytest
+import torch
+from q_transitions import ACTIONS, FEATURES, REPLICAS, transitions
+from tensordict import TensorDict
+from torchrl.data import Categorical
+from torchrl.objectives import HardUpdate
+
+from bbq_torchrl.networks import FlatMLP, GaussianProcess, StateFeatures, TrunkFeatures, q_actor
+from bbq_torchrl.objectives import GPLoss
+
+SPEC = Categorical(ACTIONS)
+
+
+def features(kind, replicas=()):
+    if kind == "states":
+        return StateFeatures(FEATURES, 16, replicas=replicas)
+    return TrunkFeatures(FEATURES, (8, 8), replicas=replicas)
+
+
+def gp_loss(kind="states", replicas=(), **settings):
+    return GPLoss(q_actor(GaussianProcess(features(kind, replicas), ACTIONS), SPEC), **settings)
+
+
+def test_sweeps_are_value_iteration_where_every_state_is_known():
+    """A chain of states, one-hot: with hardly any noise Q is that of dynamic programming."""
+    states, gamma = 6, 0.8
+    place, action = (
+        part.flatten()
+        for part in torch.meshgrid(torch.arange(states), torch.arange(2), indexing="ij")
+    )
+    after = (place + 2 * action - 1).clamp(0, states - 1)
+    reward = torch.randn(states, 2)
+    ended = torch.rand(states, 2) < 0.2
+    optimal = torch.zeros(states, 2)
+    for _ in range(60):
+        best = optimal.amax(-1)[after].view(states, 2)
+        optimal = reward + gamma * torch.where(ended, 0, best)
+
+    network = GaussianProcess(StateFeatures(states, 12, kernel="rbf"), 2, prior_std=10)
+    actor = q_actor(network, Categorical(2), action_mask_key=None)
+    loss = GPLoss(actor, noise_std=0.02, sweeps=60, gamma=gamma)
+    cells = torch.eye(states)
+    out = loss.fit(
+        TensorDict(
+            observation=cells[place],
+            action=action,
+            next={
+                "observation": cells[after],
+                "reward": reward.view(-1, 1),
+                "terminated": ended.view(-1, 1),
+            },
+            batch_size=[2 * states],
+        )
+    )
+
+    torch.testing.assert_close(network(cells, "mean").detach(), optimal, rtol=0, atol=0.02)
+    assert out["td_error"] < 0.02
+
+
+def test_drawn_targets_are_those_of_one_draw_in_all_sweeps():
+    """After enough sweeps the mean is the regression on the values of that very draw."""
+    data, gamma, noise_std, value_std = transitions(batch=(64,)), 0.5, 2.0, 4.0
+    loss = gp_loss(target="draw", sweeps=60, gamma=gamma, noise_std=noise_std, value_std=value_std)
+    torch.manual_seed(5)
+    loss.fit(data)
+
+    network, after = loss.network, data["next"]
+    with torch.no_grad():
+        phi, phi_after = (network.features_of(0, td["observation"]) for td in (data, after))
+        torch.manual_seed(5)
+        values = phi_after[0] @ network.mean.mT + network.deviation(0, *phi_after)
+    best = values.masked_fill(~after["action_mask"], -1e9).amax(-1)
+    target = after["reward"][:, 0] + gamma * best * ~after["terminated"][:, 0]
+    # the same regressions by the kernel trick instead of the features' normal equations
+    gram, noise = phi[0] @ phi[0].mT, noise_std**2 * torch.eye(64)
+    shared = value_std**2 * gram @ torch.linalg.solve(value_std**2 * gram + noise, target)
+    for action in range(ACTIONS):
+        rows = data["action"] == action
+        own = gram[:, rows] @ torch.linalg.solve(
+            gram[rows][:, rows] + noise[rows][:, rows], (target - shared)[rows]
+        )
+        expected = (shared + own).detach()
+        torch.testing.assert_close(
+            (phi[0] @ network.mean[action]).detach(), expected, rtol=0, atol=1e-3
+        )
+    assert network.deviation(0, *phi_after).detach().std() > 0.1
+
+
+@pytest.mark.parametrize("kind", ["states", "trunk"])
+@pytest.mark.parametrize("target", ["mean", "draw"])
+def test_a_replica_is_fitted_bitwise_as_next_to_others_and_padding_is_left_out(kind, target):
+    loss, data = gp_loss(kind, (3,), target=target), transitions((3,), (50,))
+    start = {name: value.clone() for name, value in loss.state_dict().items()}
+    data["valid"] = torch.ones(3, 50).bool()
+    torch.manual_seed(0)
+    loss.fit(data)
+    mean, factor = loss.network.mean[0].clone(), loss.network.factor[0].clone()
+
+    loss.load_state_dict(start)
+    others = torch.cat([data, transitions((3,), (20,)).set("valid", torch.zeros(3, 20).bool())], 1)
+    others[1:] = transitions((2,), (70,)).set("valid", torch.rand(2, 70) < 0.8)
+    others["observation"][0, 50:] = torch.nan
+    torch.manual_seed(0)
+    out = loss.fit(others)
+
+    assert torch.equal(loss.network.mean[0], mean)
+    assert torch.equal(loss.network.factor[0], factor)
+    assert out["loss_value"].isfinite().all()
+
+
+@pytest.mark.parametrize("replicas", REPLICAS)
+@pytest.mark.parametrize("kind", ["states", "trunk"])
+def test_each_replica_and_action_has_its_own_posterior(kind, replicas):
+    loss, data = gp_loss(kind, replicas), transitions(replicas, (4, 8))
+    data["action"][data["action"] == 2] = 1
+    before = loss.network.mean.detach().clone()
+    out = loss.fit(data)
+    assert out["loss_value"].shape == replicas
+    mean, factor = loss.network.mean.detach(), loss.network.factor.detach()
+    prior = torch.eye(factor.shape[-1])
+    assert torch.equal(factor[..., 2, :, :], prior.expand_as(factor[..., 2, :, :]))
+    assert not torch.isclose(factor[..., 1, :, :], prior).all()
+    if kind == "trunk":  # the prior of an action without data is centered on its last layer
+        assert torch.equal(mean[..., 2, :], before[..., 2, :])
+
+
+def test_a_trunk_learns_as_a_dqn_does():
+    """The gradient of trunk and last layer is that of the same network as an MLP."""
+    loss, data = gp_loss("trunk"), transitions()
+    network, plain = loss.network, FlatMLP(FEATURES, ACTIONS, (8, 8))
+    with torch.no_grad():
+        plain.weight.copy_(
+            torch.cat(
+                [
+                    network.features.trunk,
+                    network.mean[:, :-1].mT.flatten(),
+                    network.mean[:, -1],
+                ]
+            )
+        )
+    HardUpdate(loss, value_network_update_interval=0).step()
+    loss(data)["loss"].backward()
+    values = plain(data["observation"]).gather(-1, data["action"].unsqueeze(-1))
+    legal = plain(data["next", "observation"]).masked_fill(~data["next", "action_mask"], -1e9)
+    ends = data["next", "terminated"]
+    target = data["next", "reward"] + 0.9 * legal.amax(-1, keepdim=True) * ~ends
+    (values - target.detach()).square().mean().backward()
+    layers = plain.layout.unflatten(plain.weight.grad)
+    trunk = torch.cat([part.flatten() for layer in layers[:-1] for part in layer])
+    torch.testing.assert_close(network.features.trunk.grad, trunk)
+    torch.testing.assert_close(network.mean.grad[:, :-1].mT, layers[-1][0])
+    torch.testing.assert_close(network.mean.grad[:, -1], layers[-1][1])
+    assert not loss.only_fits
+
+
+@pytest.mark.parametrize(
+    ("settings", "message"),
+    [
+        ({"noise_std": 0.0}, "noise_std must be positive and finite, got 0"),
+        ({"value_std": -1.0}, "value_std must be positive and finite, got -1"),
+        ({"sweeps": 0}, "sweeps must be at least 1, got 0"),
+        ({"target": "max"}, "target must be one of mean, draw, got 'max'"),
+    ],
+)
+def test_invalid_settings_are_refused(settings, message):
+    with pytest.raises(ValueError, match=message):
+        gp_loss(**settings)
+
+
+def test_another_network_is_refused():
+    with pytest.raises(ValueError, match="must have one GaussianProcess, got QValueActor with 0"):
+        GPLoss(q_actor(FlatMLP(FEATURES, ACTIONS), SPEC))
