@@ -144,9 +144,9 @@ class StateFeatures(nn.Module):
 
     @torch.no_grad()
     def choose_(self, states: Tensor, replica: int) -> None:
-        """Replaces a replica's inducing states by the first M of ``states`` [N, in], shuffled."""
+        """Sets a replica's inducing states to the first M different ones of ``states`` [N, in]."""
         own, whitening, scale = (part.squeeze(0) for part in self._of(slice(replica, replica + 1)))
-        found = states[: self.size]
+        found = states[_first_of_each(states)[: self.size]]
         distances = torch.pdist(found)
         median = distances[distances > 0].median() if len(found) > 1 else found.new_ones(())
         scale.copy_(1 / (self.lengthscale * median.nan_to_num(1.0)))
@@ -163,6 +163,16 @@ class StateFeatures(nn.Module):
 
     def reset_inactive_(self, inputs: Tensor) -> None:
         """Does nothing: a feature that is 0 in all states does not change a kernel."""
+
+
+def _first_of_each(states: Tensor) -> Tensor:
+    """Returns the first row of each different state in ``states`` [N, in], int64, in order."""
+    # One number tells states apart; comparing all features takes longer than a regression.
+    direction = torch.arange(1.0, states.shape[-1] + 1, device=states.device).double().sin()
+    _, group = (states.double() @ direction).unique(return_inverse=True)
+    rows = torch.arange(len(states), device=states.device)
+    first = torch.full_like(rows, len(states)).scatter_reduce(0, group, rows, "amin")
+    return first[first < len(states)].sort().values
 
 
 def _unit(states: Tensor) -> Tensor:

@@ -306,7 +306,7 @@ class GP(AgentOption):
         one_of("states", "trunk"),
         "a kernel of states, or the last hidden layer of a Q-network that learns as DQN does",
     )
-    inducing: int = setting(512, integers(1, 10_000), "inducing states, for features=states")
+    inducing: int = setting(256, integers(1, 10_000), "inducing states, for features=states")
     kernel: str = setting(
         "arccos",
         one_of("arccos", "rbf"),
@@ -342,6 +342,16 @@ class GP(AgentOption):
     offers: ClassVar[tuple[str, ...]] = ("posterior", "values")
     explores_by: ClassVar[str] = "thompson"
     modes: ClassVar[tuple[str, ...]] = EVALUATION_MODES
+
+    def check(self) -> None:
+        """Refuses settings of a kernel for a trunk."""
+        for key in ("inducing", "kernel", "lengthscale", "value_std"):
+            default, got = getattr(type(self), key), getattr(self, key)
+            if self.features == "trunk" and got != default:
+                raise ConfigError(
+                    f"agent.{key} must be {default} with agent.features=trunk, which has no "
+                    f"kernel, got {got}"
+                )
 
     def make_actor(self, task: Task) -> QValueActor:
         """Gaussian processes on Nyström features, or on a trunk."""

@@ -17,8 +17,21 @@ from torchrl.modules import EGreedyModule
 from bbq_torchrl.bayes import BayesMLP
 from bbq_torchrl.data import BootstrapMask
 from bbq_torchrl.exploration import BootstrapSampling, Greedy, MajorityVote, ThompsonSampling
-from bbq_torchrl.networks import BootstrapMLP, FlatMLP, bootstrap_actor, q_actor
-from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, DropoutDQNLoss, OneStepQLoss
+from bbq_torchrl.networks import (
+    BootstrapMLP,
+    FlatMLP,
+    GaussianProcess,
+    StateFeatures,
+    bootstrap_actor,
+    q_actor,
+)
+from bbq_torchrl.objectives import (
+    BBQNLoss,
+    BootstrapDQNLoss,
+    DropoutDQNLoss,
+    GPLoss,
+    OneStepQLoss,
+)
 from bbq_torchrl.trainers import ReplicaAdam
 
 sys.path.append(str(Path(__file__).resolve().parents[1] / "extending"))  # for two of the agents
@@ -51,7 +64,7 @@ class Settings:
         eps_episodes: episodes over which ε falls.
         prior_std: standard deviation of the prior of BBQN's weights, or "fan_in".
         std_init: initial standard deviation of BBQN's weights; None: the prior's.
-        noise_std: standard deviation of BBQN's observation noise, in units of Q.
+        noise_std: standard deviation of BBQN's, or the GP's, observation noise, in units of Q.
         heads: number of bootstrap heads, each a separate network.
         mask_prob: probability that a head learns from a transition; with 1 the heads differ only by
             their initial weights (and their prior functions).
@@ -92,6 +105,8 @@ def default_settings(name: str) -> Settings:
         return Settings(updates_per_step=4.0, std_init=None if name.endswith("_zero") else 0.03)
     if name == "epinet":
         return Settings(lr=1e-3, updates_per_step=4.0, prior_scale=0.6, index_size=4)
+    if name.startswith("gp_"):
+        return Settings(prior_std=1.0, noise_std=0.1)
     if name == "langevin":
         return Settings(lr=1e-3, inverse_temperature=100.0)
     return Settings(lr=1e-3) if name.startswith("bootstrap") else Settings()
@@ -140,6 +155,8 @@ def make_agent(name: str, size: int, replicas: int, settings: Settings) -> Agent
         target_noise = name.removeprefix("bbqn_").removesuffix("_zero")
         mean_init = "zero" if name.endswith("_zero") else "kaiming"
         return _bbqn(target_noise, mean_init, size, replicas, settings)
+    if name.startswith("gp_"):
+        return _gp(name.removeprefix("gp_"), size, replicas, settings)
     if name == "epinet":
         return _epinet(size, replicas, settings)
     if name == "langevin":
@@ -231,6 +248,23 @@ def _bbqn(
         ),
         begin_dive=explore.resample,
     )
+
+
+def _gp(target: str, size: int, replicas: int, settings: Settings) -> Agent:
+    # So short a length that cells are independent, and no value that both actions share.
+    features = StateFeatures(size**2, size**2, kernel="rbf", lengthscale=0.2, replicas=replicas)
+    network = GaussianProcess(features, 2, prior_std=float(settings.prior_std))
+    actor = q_actor(network, ACTION, action_mask_key=None)
+    explore = ThompsonSampling(actor, per="round", shared=False)
+    loss = GPLoss(
+        actor,
+        noise_std=settings.noise_std,
+        value_std=1e-3,
+        sweeps=size,
+        target=target,  # type: ignore[arg-type]
+        gamma=settings.gamma,
+    )
+    return Agent(explore=explore, greedy=Greedy(actor), loss=loss, begin_dive=explore.resample)
 
 
 def _epinet(size: int, replicas: int, settings: Settings) -> Agent:

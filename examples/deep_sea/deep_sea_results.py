@@ -21,6 +21,8 @@ AGENT_NAMES = {
     "bbqn_mean_zero": "BBQN (MAP), zero means",
     "bbqn_independent_zero": "BBQN (MC), zero means",
     "bbqn_shared_zero": "BBQN (same noise), zero means",
+    "gp_mean": "GP, mean target",
+    "gp_draw": "GP, target of one draw (RLSVI)",
     "epinet": "epinet",
     "langevin": "Adam LMCDQN",
 }

@@ -12,7 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import HardUpdate
 
-from bbq_torchrl.objectives import BBQNLoss
+from bbq_torchrl.objectives import BBQNLoss, GPLoss
 from bbq_torchrl.trainers import derive_seed, keep_freed_memory
 
 if TYPE_CHECKING:
@@ -54,6 +54,11 @@ class DiveMemory:
         place = torch.arange(self._written, self._written + steps) % self.capacity
         self._rows[:, place] = rows
         self._written += steps
+
+    def shuffled(self) -> TensorDictBase:
+        """Returns all transitions [replicas, stored], in one random order."""
+        assert self._rows is not None
+        return self._rows[:, torch.randperm(len(self))].named_apply(_unpack, nested_keys=True)
 
     def sample(self, batch_size: int) -> TensorDictBase:
         """Returns transitions [replicas, batch_size], each replica's drawn with replacement."""
@@ -148,7 +153,10 @@ def train(
         treasures += dive["next", "treasure"].any(1).squeeze(-1)
         if isinstance(agent.loss, BBQNLoss):
             agent.loss.set_num_data(len(memory))
-        due += settings.updates_per_step * size
+        if isinstance(agent.loss, GPLoss):
+            agent.loss.fit(memory.shuffled())
+        else:
+            due += settings.updates_per_step * size
         while updates < due:
             optimizer.zero_grad()
             agent.loss(memory.sample(settings.batch_size))["loss"].backward()

@@ -63,7 +63,7 @@ def test_a_training_from_python_is_that_of_the_command_and_goes_on(tmp_path):
 @pytest.mark.parametrize(
     ("overrides", "message"),
     [
-        (["agent=dqm"], "agent must be one of bbqn, bootstrap, dqn, got 'dqm'"),
+        (["agent=dqm"], "agent must be one of bbqn, bootstrap, dqn, gp, got 'dqm'"),
         (["agent.lr=-1"], r"agent\.lr must be .*, got -1"),
         (["--multirun", "seed=0,1"], "'--multirun' cannot be read"),
         (["seed=0,1"], "seed"),
