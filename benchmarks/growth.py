@@ -26,6 +26,8 @@ from typing import TYPE_CHECKING
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # so that `python benchmarks/growth.py` finds its own packages
 
+import torch  # noqa: E402
+
 from bbq_torchrl.domains import Domain, movie_domain  # noqa: E402
 from bbq_torchrl.envs import DialogueEnv  # noqa: E402
 from bbq_torchrl.runs.compose import compose  # noqa: E402
@@ -59,6 +61,30 @@ def buffer(size: int, run: Path) -> float:
     once = (*BBQN, "protocol.freezes=1", "protocol.epochs=1")
     trainer = full_trainer(once, run, replicas=1, capacity=size)
     return seconds(lambda: trainer.learner.learn(0))
+
+
+def gp(size: int, run: Path) -> float:
+    """Fits a sparse Gaussian process to a full buffer of a number of transitions."""
+    chosen = ("agent=gp", f"agent.inducing={min(size, 512)}")
+    trainer = full_trainer(chosen, run, replicas=1, capacity=size)
+    return seconds(lambda: trainer.learner.learn(0))
+
+
+def exact_gp(size: int, run: Path) -> float:
+    """Fits an exact Gaussian process to as many: one Cholesky and the values of next states."""
+    rows = full_trainer(DQN, run, replicas=1, capacity=size).replay.epoch(size)[0].transitions[0]
+    states, after = rows["observation"], rows["next", "observation"]
+
+    def fit() -> None:
+        gram = torch.cdist(states, states).square_().mul_(-0.05).exp_()
+        gram.diagonal().add_(1.0)
+        root = torch.linalg.cholesky(gram)
+        del gram
+        weights = torch.cholesky_solve(rows["next", "reward"], root)
+        del root
+        torch.cdist(after, states).square_().mul_(-0.05).exp_() @ weights
+
+    return seconds(fit)
 
 
 def replicas(size: int, run: Path) -> float:
@@ -117,6 +143,8 @@ def varied(domain: Domain, size: int, *, new_every: int | None = None) -> Domain
 GROWTH: dict[str, tuple[Callable[[int, Path], float], tuple[int, ...]]] = {
     "rounds": (rounds, (30, 100, 300, 1_000)),
     "buffer": (buffer, (1_000, 3_000, 10_000, 30_000, 100_000)),
+    "gp": (gp, (1_000, 2_000, 4_000, 8_000, 12_000, 40_000)),
+    "exact_gp": (exact_gp, (1_000, 2_000, 4_000, 8_000, 12_000)),
     "replicas": (replicas, (1, 2, 5, 10, 20, 50)),
     "dialogues": (dialogues, (10, 30, 100, 300, 1_000, 3_000)),
     "records": (records, (100, 1_000, 10_000, 100_000)),

@@ -26,13 +26,14 @@ def posterior_factors(
                 [[1.0000]]])
     """
     size = features.shape[-1]
-    one = torch.eye(size, dtype=torch.float64, device=features.device)
+    one = torch.eye(size, dtype=features.dtype, device=features.device)
     counts = action.bincount(minlength=actions).tolist()
     factors = features.new_empty(actions, size, size)
     for number, rows in enumerate(features[action.argsort(stable=True)].split(counts)):
-        precision = one / prior_std**2 + (rows.mT @ rows) / noise_std**2
-        root = torch.linalg.cholesky(precision)
-        factors[number] = torch.linalg.solve_triangular(root, one, upper=False)
+        precision = (rows.mT @ rows).double() / noise_std**2
+        precision.diagonal().add_(prior_std**-2)
+        root = torch.linalg.cholesky(precision).to(features)
+        torch.linalg.solve_triangular(root, one, upper=False, out=factors[number])
     return factors
 
 
@@ -48,6 +49,7 @@ def posterior_means(
         target: shape [N].
         noise_std: standard deviation of the targets' noise.
     """
-    sums = factors.new_zeros(factors.shape[:-1])
-    sums.index_add_(0, action, features * (target / noise_std**2).unsqueeze(-1))
+    weights = target.new_zeros(len(factors), len(target))
+    weights.scatter_(0, action.unsqueeze(0), (target / noise_std**2).unsqueeze(0))
+    sums = weights @ features
     return (factors.mT @ (factors @ sums.unsqueeze(-1))).squeeze(-1)

@@ -21,6 +21,7 @@ if TYPE_CHECKING:
 Kernel = Literal["arccos", "rbf"]
 KERNEL = one_of(*get_args(Kernel))
 _ALL = slice(None)
+_ROWS_AT_ONCE = 512  # so that a kernel's passes over their features stay in a core's cache
 _JITTER = 1e-6  # on the diagonal of kernel matrices, which is 1
 
 
@@ -137,9 +138,9 @@ class StateFeatures(nn.Module):
             return torch.cdist(x * scale, states * scale).square().mul(-0.5).exp()
         cosine = _unit(x) @ _unit(states).mT
         for _ in range(2):
-            cosine = cosine.clamp(-1, 1)
-            sine = (1 - cosine.square()).sqrt()
-            cosine = (sine + (pi - cosine.acos()) * cosine) / pi
+            cosine.clamp_(-1, 1)
+            sine = (1 - cosine.square()).sqrt_()
+            cosine = sine.addcmul_(pi - cosine.acos(), cosine).div_(pi)
         return cosine
 
     @torch.no_grad()
@@ -256,8 +257,10 @@ class GaussianProcess(BayesLayer):
 
     def features_of(self, replica: int, states: Tensor) -> tuple[Tensor, Tensor | None]:
         """Returns features [N, M] and rest [N, rest] of a replica for states [N, in]."""
-        phi, rest = self.features(states.unsqueeze(0), slice(replica, replica + 1))
-        return phi[0], None if rest is None else rest[0]
+        part = slice(replica, replica + 1)
+        parts = [self.features(rows.unsqueeze(0), part) for rows in states.split(_ROWS_AT_ONCE)]
+        phi, rest = zip(*parts, strict=True)
+        return torch.cat(phi, 1)[0], None if rest[0] is None else torch.cat(rest, 1)[0]
 
     def deviation(self, replica: int, phi: Tensor, rest: Tensor | None) -> Tensor:
         """Returns what a draw of a replica's weights adds to the mean values, [N, A].

@@ -155,7 +155,7 @@ class GPLoss(OneStepQLoss):
         index, action = rows["index"], rows["index"].squeeze(-1)
         # the values of the last fit, whose features are other ones
         values = network.features_of(replica, rows["after"])[0] @ mean.mT
-        prior, shared = mean.clone(), None
+        prior, shared = mean.clone(), None  # [A, M], or [1, M] if all actions share it
         if isinstance(network.features, StateFeatures):
             network.features.choose_(rows["state"], replica)
         phi, _ = network.features_of(replica, rows["state"])
@@ -172,8 +172,9 @@ class GPLoss(OneStepQLoss):
             target = rows["reward"] + gamma * torch.where(rows["terminated"], 0, best)
             if shared is not None:
                 prior = posterior_means(shared, phi, nothing, target.squeeze(-1), std)
-                prior = prior.expand_as(mean)
-            excess = (target - (phi @ prior.mT).gather(-1, index)).squeeze(-1)
+            known = phi @ prior.mT
+            known = known.gather(-1, index) if shared is None else known
+            excess = (target - known).squeeze(-1)
             mean.copy_(prior + posterior_means(factor, phi, action, excess, std))
             values = phi_after @ mean.mT
         chosen = (phi @ mean.mT).gather(-1, index)

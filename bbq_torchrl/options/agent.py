@@ -306,7 +306,7 @@ class GP(AgentOption):
         one_of("states", "trunk"),
         "a kernel of states, or the last hidden layer of a Q-network that learns as DQN does",
     )
-    inducing: int = setting(256, integers(1, 10_000), "inducing states, for features=states")
+    inducing: int = setting(512, integers(1, 10_000), "inducing states, for features=states")
     kernel: str = setting(
         "arccos",
         one_of("arccos", "rbf"),
@@ -320,7 +320,7 @@ class GP(AgentOption):
     )
     prior_std: float | None = setting(
         None,
-        optional(POSITIVE, "2 for states, 0.1 for a trunk"),
+        optional(POSITIVE, "1 for states, 0.1 for a trunk"),
         "std of the prior of an action's weights",
     )
     noise_std: float | None = setting(
@@ -370,7 +370,7 @@ class GP(AgentOption):
             )
         else:
             features = TrunkFeatures(task.inputs, self.hidden, **places)
-        prior_std = (2.0 if of_states else 0.1) if self.prior_std is None else self.prior_std
+        prior_std = (1.0 if of_states else 0.1) if self.prior_std is None else self.prior_std
         network = GaussianProcess(features, task.actions, prior_std=prior_std, device=task.device)
         task.reset_inactive_(network)
         return q_actor(network, task.action_spec, action_mask_key=task.action_mask_key)

@@ -29,6 +29,8 @@ LOOKS = {
     "bbqn_mean": ("#0072B2", "o"),
     "bbqn_independent": ("#56B4E9", "D"),
     "bbqn_shared": ("#D55E00", "P"),
+    "gp_mean": ("#F0E442", "<"),
+    "gp_draw": ("#8B4513", ">"),
     "epinet": ("#CC79A7", "X"),
     "langevin": ("#999999", "*"),
 }
