@@ -110,7 +110,8 @@ class FitsBuffers(Protocol):
         """Learns from [replicas, rows], shuffled; called once a round, after the mini-batches.
 
         Returns:
-            ``loss_value`` and further metrics, [replicas] each; they replace the mini-batches'.
+            ``loss_value`` and further metrics, [replicas] each; they replace the mini-batches'
+            metrics of the same names.
         """
 
 

@@ -201,22 +201,22 @@ class Learner:
         for loss in self._losses:
             if provides(loss, UsesNumData):
                 loss.set_num_data(self.replay.num_data())
-        fitting = [loss for loss in self._losses if provides(loss, FitsBuffers)]
+        found: dict[str, list[float]] = {}
         if not all(provides(loss, FitsBuffers) and loss.only_fits for loss in self._losses):
             self.update_all(round_number)
-        for loss in fitting:
-            self._fit(loss, round_number)
-        return {
-            "loss" if name == "loss_value" else name: means
-            for name, means in self._update.sums.means().items()
-        }
+            found |= self._update.sums.means()
+        for part in self._losses:
+            if provides(part, FitsBuffers):
+                found |= self._fit(part, round_number)
+        return {"loss" if name == "loss_value" else name: means for name, means in found.items()}
 
-    def _fit(self, loss: FitsBuffers, round_number: int) -> None:
-        """Fits a loss to the buffers; the round's metrics are those of the fit."""
+    def _fit(self, loss: FitsBuffers, round_number: int) -> dict[str, list[float]]:
+        """Fits a loss to the buffers and returns its metrics by name."""
         self.seed_phase("fit", round_number)
         (batch,) = self.replay.epoch(max(self.replay.lengths))
-        self._update.sums = LossSums(self.replay.replicas)
-        self._update.sums.add(loss.fit(batch.transitions), batch)
+        sums = LossSums(self.replay.replicas)
+        sums.add(loss.fit(batch.transitions), batch)
+        return sums.means()
 
     def update_all(self, round_number: int) -> None:
         """Freezes and learns, without waiting for the device."""
