@@ -21,6 +21,7 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from time import process_time
 from typing import TYPE_CHECKING
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -63,11 +64,18 @@ def buffer(size: int, run: Path) -> float:
     return seconds(lambda: trainer.learner.learn(0))
 
 
+def cpu_seconds(work: Callable[[], object]) -> float:
+    """Returns the CPU seconds that ``work()`` took: its seconds on an idle core."""
+    started = process_time()
+    work()
+    return process_time() - started
+
+
 def gp(size: int, run: Path) -> float:
     """Fits a sparse Gaussian process to a full buffer of a number of transitions."""
     chosen = ("agent=gp", f"agent.inducing={min(size, 512)}")
     trainer = full_trainer(chosen, run, replicas=1, capacity=size)
-    return seconds(lambda: trainer.learner.learn(0))
+    return cpu_seconds(lambda: trainer.learner.learn(0))
 
 
 def exact_gp(size: int, run: Path) -> float:
@@ -84,7 +92,7 @@ def exact_gp(size: int, run: Path) -> float:
         del root
         torch.cdist(after, states).square_().mul_(-0.05).exp_() @ weights
 
-    return seconds(fit)
+    return cpu_seconds(fit)
 
 
 def replicas(size: int, run: Path) -> float:
