@@ -24,7 +24,7 @@ from bbq_torchrl.people.dialogue.agent import TrainedAgent
 from bbq_torchrl.people.dialogue.judge import Judge
 from bbq_torchrl.people.dialogue.partner import Partner
 from bbq_torchrl.people.dialogue.spelling import Spelling
-from bbq_torchrl.people.language import Generator
+from bbq_torchrl.people.language import Generator, load_phrases
 from bbq_torchrl.people.language.cache import cached_understander
 from bbq_torchrl.utils import output
 
@@ -183,7 +183,7 @@ def main() -> None:
     rules = RULE_NAMES if given.control == "all" else ()
     nlu, nlg = cached_understander(agent.domain), Generator(agent.domain)
     partner = Partner(agent, nlu, nlg, spelling, rules=rules)
-    judge = Judge(partner.domain)
+    judge, names = Judge(partner.domain), load_phrases(agent.domain).names
     goals = [goal for goal in partner.domain.goals if judge.is_attainable(goal)]
     rows = []
     for kind in given.kinds:
@@ -191,7 +191,7 @@ def main() -> None:
         fit = [goal for goal in goals if needs <= goal.constraints.keys()]
         chosen = random.Random(f"{given.seed} {kind}").sample(fit, min(given.goals, len(fit)))
         for number, goal in enumerate(chosen):
-            talk = Talk(partner, Person(kind, goal, partner.domain, given.seed + number))
+            talk = Talk(partner, Person(kind, goal, partner.domain, given.seed + number, names))
             talk.play(given.seed + number)
             said = [(answer.heard, answer.said) for _, answer in talk.said]
             reasons = judge.reasons(goal, said, in_time=talk.ended != "turns")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from bbq_torchrl.domains.frames import ANY
 from bbq_torchrl.domains.values import RESERVED_TEXT
 from bbq_torchrl.people.language.words import UNITS
 
@@ -57,11 +58,15 @@ class Person:
         goal: what the person is to get.
         domain: values of other records are those that the person names by mistake.
         seed: of all choices.
+        labels: how people call the slots.
     """
 
-    def __init__(self, kind: str, goal: Goal, domain: Domain, seed: int) -> None:
+    def __init__(
+        self, kind: str, goal: Goal, domain: Domain, seed: int, labels: Mapping[str, str]
+    ) -> None:
         self._kind, self._goal, self._domain = PEOPLE["kinds"][kind], goal, domain
         self._hand = PEOPLE["hands"][self._kind["hand"]]
+        self._labels = labels
         self._random = random.Random(f"{kind}/{seed}")
         self._untold = list(goal.constraints)
         self._answers: dict[str, str] = {}
@@ -104,9 +109,7 @@ class Person:
         count = self._kind["open"]
         chosen = (order + rest)[: None if count == "all" else max(count, 1)]
         pieces = self._hand["piece"]
-        parts = [
-            pieces.get(slot, pieces["rest"]).format(self._goal.constraints[slot]) for slot in chosen
-        ]
+        parts = [pieces.get(slot, pieces["rest"]).format(self._written(slot)) for slot in chosen]
         lead = self._choose(self._hand["lead"])
         text = self._hand["join"].join(filter(None, (lead, *parts))).replace(" ,", ",")
         informs = {slot: self._goal.constraints[slot] for slot in chosen}
@@ -240,6 +243,10 @@ class Person:
             wrong = [k for k, v in self._held.items() if k in goal and v not in (goal[k], "no match")]
             if wrong:
                 return self._tell(wrong[:2], "fix")
+            foreign = [k for k in self._held if k not in goal and k not in self._answers]
+            if foreign:
+                name = self._labels.get(foreign[0], foreign[0])
+                return Said(f"Any {name} is fine", {foreign[0]: ANY})
         for slot, value in told.items():
             if slot in self._goal.constraints and value != self._goal.constraints[slot]:
                 return self._tell([slot], "fix")
@@ -266,16 +273,22 @@ class Person:
             return self._next()
         alone = self._hand["alone"]
         values = self._goal.constraints
-        texts = [self._choose(alone.get(s, alone["rest"])).format(values[s]) for s in slots]
+        texts = [self._choose(alone.get(s, alone["rest"])).format(self._written(s)) for s in slots]
         text = ". ".join(texts)
         if how:
             text = self._choose(self._hand[how]).format(text)
         return Said(text, {slot: values[slot] for slot in slots})
 
+    def _written(self, slot: str) -> str:
+        """Returns a value of the card as a person writes it: a state that is a word in full."""
+        value = self._goal.constraints[slot]
+        return _STATES.get(value, value) if slot == "state" else value
+
     def _choose(self, options: list[str]) -> str:
         return self._random.choice(options)
 
 
+_STATES = {"ok": "Oklahoma", "in": "Indiana", "me": "Maine", "or": "Oregon", "hi": "Hawaii"}
 _ORDER = ("numberofpeople", "moviename", "genre", "theater", "city", "state", "date", "starttime")
 _PLAIN = {
     "date": ["friday", "monday", "saturday", "tomorrow", "sunday"],

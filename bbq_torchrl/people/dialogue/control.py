@@ -15,6 +15,7 @@ import torch
 
 from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, NONE
 from bbq_torchrl.people.dialogue import RULE_NAMES
+from bbq_torchrl.simulator.choices import one_of, pack, popcount
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -59,7 +60,9 @@ class Control:
                 raise ValueError(f"a rule must be one of {', '.join(RULES)}, got {name!r}")
         self.rules = tuple(name for name in RULES if name in names)
         domain = simulator.domain
-        self._tracker, self._count = simulator.tracker, simulator.knowledge_base.matching_counts
+        self._tracker, self._knowledge_base = simulator.tracker, simulator.knowledge_base
+        self._having_sets = pack((domain.records != NONE).T)
+        self._n_records = len(domain.records)
         self._acts, self._complete = domain.act, domain.complete
         self._act, self._slot = domain.action_act, domain.action_slot.clamp(min=0)
         has_slot = domain.action_slot >= 0
@@ -100,10 +103,10 @@ class Control:
     def remember(self, state: TensorDictBase) -> TensorDictBase:
         """Returns the state after a person's act, without what the agent takes back.
 
-        Where nothing matches what the person tells and all before, what the agent told is dropped,
-        and told again as if the person had just asked for it. A "no match" is dropped anyway. The
-        state gets the key ``wished``,
-        bool ``[*B, S]``: the slots that the person has told so far.
+        What the agent told is dropped where no record has it and what the person tells or asks for
+        next, and is told again as if the person had just asked for it. A "no match" is dropped
+        anyway. The state gets the key ``wished``, long ``[*B, S]``: how often the person has told
+        each slot.
 
         Args:
             state: of the simulator or of a :class:`~bbq_torchrl.people.dialogue.tracker.Tracking`.
@@ -114,7 +117,10 @@ class Control:
         wished = state.get("wished", torch.zeros_like(held)) + tells
         own = wished == 0
         held = torch.where(own & (held == NO_MATCH), NONE, held)
-        is_stuck = (self._count(held) == 0) & tells.any(-1)
+        found = self._knowledge_base.matching_counts(held)
+        misses = self._open(state) & (self._having(held) == 0)
+        is_found_without = self._having(torch.where(own, NONE, held)) > 0
+        is_stuck = ((found == 0) & tells.any(-1)) | (misses & is_found_without).any(-1)
         dropped = own & (held != NONE) & is_stuck[..., None]
         return state.replace(
             held=torch.where(dropped, NONE, held),
@@ -124,14 +130,27 @@ class Control:
         )
 
     def answers(self, state: TensorDictBase, legal: torch.Tensor) -> torch.Tensor:
-        """Returns the actions that answer an open question of the person, bool ``[*B, A]``."""
+        """Returns the action that answers an open question of the person, bool ``[*B, A]``.
+
+        Of several questions it is the one that the fewest matching records can answer: the records
+        that have its answer can answer the others.
+        """
+        open_ = self._open(state)
         if "answers_first" not in self.rules:
             return torch.zeros_like(legal)
-        return legal & self._is_answer & self._open(state)[..., self._slot]
+        having = self._having(state["held"])
+        rank = torch.where(having > 0, having, self._n_records + 1)
+        rank = torch.where(open_, rank, self._n_records + 2)
+        first = one_of(rank.argmin(-1), rank.shape[-1]) & open_
+        return legal & self._is_answer & first[..., self._slot]
 
     def continues(self, legal: torch.Tensor) -> torch.Tensor:
         """Returns the actions that may follow an answer in the same reply, bool ``[*B, A]``."""
         return legal & (self._is_request | self._is_booking)
+
+    def _having(self, held: torch.Tensor) -> torch.Tensor:
+        """Counts the matching records that have each slot. Returns long ``[*B, S]``."""
+        return popcount(self._knowledge_base.matching(held)[..., None, :] & self._having_sets)
 
     def _open(self, state: TensorDictBase) -> torch.Tensor:
         """Returns the questions of the user that the agent can answer, bool ``[*B, S]``."""
@@ -144,8 +163,8 @@ class Control:
         return ends[..., None] == self._is_end
 
     def _answers_first(self, state: TensorDictBase) -> torch.Tensor:
-        open_ = self._open(state)
-        return ~open_.any(-1, keepdim=True) | (self._is_answer & open_[..., self._slot])
+        answers = self.answers(state, torch.ones_like(self._is_answer))
+        return ~answers.any(-1, keepdim=True) | answers
 
     def _no_asking_back(self, state: TensorDictBase) -> torch.Tensor:
         held = state["held"]
