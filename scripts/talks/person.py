@@ -172,7 +172,9 @@ class Person:
             said = self._to_telling(answer)
         is_stuck = not said.requests and said.act != "yes" and not self._brings_news(said)
         self._worries = self._worries + 1 if is_stuck or said.text == self._last.text else 0
-        return Said(self._choose(self._hand["bye"]), act="bye") if self._worries > _PATIENCE else said
+        return (
+            Said(self._choose(self._hand["bye"]), act="bye") if self._worries > _PATIENCE else said
+        )
 
     def _brings_news(self, said: Said) -> bool:
         return any(slot in self._untold for slot in said.informs)
@@ -196,7 +198,11 @@ class Person:
         if not wrong:
             return Said(self._choose(self._hand["yes"]), wishes, act="yes")
         fixed = [slot for slot in wrong if slot in self._goal.constraints]
-        return self._tell(fixed[:1], "fix") if fixed else Said(self._choose(self._hand["no"]), act="no")
+        return (
+            self._tell(fixed[:1], "fix")
+            if fixed
+            else Said(self._choose(self._hand["no"]), act="no")
+        )
 
     def _again(self) -> Said:
         """Says the last once more, in other words."""
@@ -225,7 +231,11 @@ class Person:
 
     def _to_question(self, answer: Answer) -> Said:
         asked = answer.said.requests[0]
-        if self._kind["asks"] == "back" and self.missing and self._last.requests != (self.missing[0],):
+        if (
+            self._kind["asks"] == "back"
+            and self.missing
+            and self._last.requests != (self.missing[0],)
+        ):
             return self._ask(self.missing[0])
         if answer.said.choices:
             own = self._goal.constraints.get(asked)
@@ -240,7 +250,9 @@ class Person:
         told = answer.said.informs
         if "no match" in told.values():  # the sentence names what does not go together
             goal = self._goal.constraints
-            wrong = [k for k, v in self._held.items() if k in goal and v not in (goal[k], "no match")]
+            wrong = [
+                k for k, v in self._held.items() if k in goal and v not in (goal[k], "no match")
+            ]
             if wrong:
                 return self._tell(wrong[:2], "fix")
             foreign = [k for k in self._held if k not in goal and k not in self._answers]

@@ -102,8 +102,8 @@ class Acting:
     ) -> tuple[TensorDict, list[tuple[Frame, dict[str, str]]]]:
         """Returns the state after the answers to all open questions, or to one without a match.
 
-        Afterwards it is as if the person had thanked for them by asking for the ticket, as simulated
-        users do who have nothing else to ask.
+        Afterwards it is as if the person had asked for the ticket, as simulated users do who have
+        nothing else to ask.
         """
         parts: list[tuple[Frame, dict[str, str]]] = []
         turn = state["turn"]

@@ -203,8 +203,8 @@ RULES = dict(
             ),
             Rule("A question is answered before anything else.", Control._answers_first),
             Rule(
-                "The agent does not ask for what it has told, or what the person asks for, has just "
-                "told, or does not care about.",
+                "The agent does not ask for what it has told, or what the person asks for, has "
+                "just told, has told twice, or does not care about.",
                 Control._no_asking_back,
             ),
             Rule("The agent tells only what is not known yet, and says something.", Control._news),

@@ -49,8 +49,8 @@ class Judge:
 
     1. the last offer of a booking holds every wish of the goal card,
     2. that offer says that there is a ticket,
-    3. every question of the card was answered, by itself or in an offer, and one record of the knowledge base holds all
-       wishes and all answers,
+    3. every question of the card was answered, by itself or in an offer, and one record of the
+       knowledge base holds all wishes and all answers,
     4. it ended before it ran out of turns.
 
     The simulator also asks that nothing said to be without a match is left so: each such slot gets

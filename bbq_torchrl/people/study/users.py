@@ -8,6 +8,7 @@ import torch
 
 from bbq_torchrl.domains import NO_MATCH, tensorize
 from bbq_torchrl.domains.coding import Coding
+from bbq_torchrl.domains.values import FIRST_VALUE
 from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.language import Frame, Generator
 from bbq_torchrl.people.language.asking import repeated
@@ -90,6 +91,13 @@ class SimulatedUser:
     def _reply(self, said: Frame) -> None:
         state, simulator = self._state, self._simulator
         agent = self._turn(said)
+        # What it waits for may be told in an offer, or before a question.
+        told = state["pending"] & (agent.informs >= FIRST_VALUE) & ~agent.is_slot
+        state = state.replace(
+            history=torch.where(told, agent.informs, state["history"]),
+            pending=state["pending"] & ~told,
+            agenda=state["agenda"] & ~told,
+        )
         draws = simulator.draw_turn((), self._random)
         # A booking repeats what the agent holds: the user sees no more of it.
         state = state.replace(held=agent.informs, user_informs=state["meant_informs"])

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import random
+
 import pytest
 import torch
 from acts import Acts
@@ -9,6 +11,7 @@ from acts import Acts
 from bbq_torchrl.domains import NO_MATCH
 from bbq_torchrl.people.chat import Partner
 from bbq_torchrl.people.dialogue.control import RULES, Control
+from bbq_torchrl.people.dialogue.judge import Judge
 from bbq_torchrl.people.language import Frame, Understood
 
 SHOWING = "inform(moviename=wonka, city=reno)"
@@ -29,6 +32,9 @@ class Words(Acts):
                 Frame("request", {"moviename": "wonka", "city": "reno"}, ("theater",)), 0.5
             ),
         }
+        if text == "where?":
+            asked = question.requests if question else ("theater",)
+            return Understood(Frame("request", {}, asked), 0.9)
         return known[text] if text in known else super().__call__(text, question)
 
 
@@ -43,7 +49,9 @@ def talk(agents, mouth, spelling, monkeypatch):
             wishes = [partner.agent.domain.action_index(name) for name in preferred]
 
             def decide(observation, seed, allowed=None, wishes=wishes):
-                return next(item for item in wishes if allowed is None or allowed[item])
+                if allowed is None:
+                    return wishes[0]
+                return next((item for item in wishes if allowed[item]), int(allowed.int().argmax()))
 
             monkeypatch.setattr(partner.agent, "decide", decide)
             answers.append(partner.reply(memory, text, number))
@@ -65,24 +73,49 @@ def test_a_yes_to_an_offer_that_stands_ends_the_dialogue(talk):
     assert (last.said.act, last.ended, last.control) == ("thanks", "agent", ("yes_ends",))
 
 
-def test_a_yes_does_not_end_what_has_a_question_open(talk):
-    question = (f"request(theater) {SHOWING}", "inform(taskcomplete)")
-    *_, last = talk(question, ("yes", "thanks", "inform(theater)"))
-    assert last.said.informs.keys() == {"theater"}
+def test_only_a_yes_to_an_offer_ends_the_dialogue(talk):
+    more = ("inform(city=reno)", "thanks", "request(date)")
+    *_, last = talk(OFFER, more)
+    assert (str(last.said), last.ended, last.control) == ("request(date)", "", ("yes_ends",))
 
 
-def test_a_question_after_an_offer_is_answered_next(talk):
-    asks = ("request(theater)", "inform(taskcomplete)", "request(date)", "inform(theater)")
-    *_, last = talk(OFFER, asks)
-    assert last.said.informs.keys() == {"theater"}
-    assert last.control[0] == "answers_first"
+@pytest.mark.parametrize("before", [(OFFER[0], "request(date)"), OFFER])
+def test_questions_are_answered_before_anything_else_in_the_same_reply(talk, before):
+    asks = ("request(theater, starttime)", "inform(genre)", "thanks", "request(zip)")
+    *_, answer = talk(before, asks)
+    assert answer.said.informs.keys() == {"theater", "starttime"}
+    assert answer.said.requests == ("zip",)
+    assert answer.control[0] == "answers_first"
+    for value in answer.said.informs.values():
+        assert value.lower() in answer.text.lower()
 
 
-def test_with_a_question_open_nothing_else_is_told(talk):
-    asks = (f"request(theater) {SHOWING}", "inform(genre)", "thanks", "request(date)")
-    (answer,) = talk(asks)
-    assert str(answer.said) == "request(date)"
-    assert answer.control == ("no_unasked_inform",)
+def test_answers_and_wishes_are_those_of_one_record(agents, mouth, spelling, monkeypatch):
+    """Whatever else the agent does, and whenever the person asks and tells."""
+    partner = Partner(agents["bbqn"], Acts(), mouth, spelling)
+    chance, judge = random.Random(3), Judge(spelling.domain)
+    goals = [goal for goal in spelling.domain.goals if judge.is_attainable(goal)]
+
+    def decide(observation, seed, allowed=None):
+        mask = partner.agent.legal if allowed is None else allowed
+        return chance.choice(mask.nonzero().flatten().tolist())
+
+    monkeypatch.setattr(partner.agent, "decide", decide)
+    for goal in chance.sample(goals, 40):
+        texts = [f"inform({slot}={value})" for slot, value in goal.constraints.items()]
+        texts += [f"request({slot})" for slot in goal.requests]
+        chance.shuffle(texts)
+        memory, told = None, {}
+        for number, text in enumerate(texts):
+            answer = partner.reply(memory, text, number)
+            memory, asked = answer.memory, Frame.parse(text).requests
+            told |= answer.said.informs
+            assert set(asked) <= answer.said.informs.keys()
+        wanted = {slot: told[slot] for slot in goal.requests}
+        for slot, value in goal.constraints.items():
+            if slot not in spelling.domain.free_slots:
+                wanted[slot] = value
+        assert any(wanted.items() <= record.items() for record in spelling.domain.records), wanted
 
 
 def test_no_act_is_repeated_unless_something_changed(talk):
@@ -94,11 +127,11 @@ def test_no_act_is_repeated_unless_something_changed(talk):
 
 
 def test_a_no_match_is_forgotten_when_the_person_tells_a_value(talk):
-    clash = ("inform(moviename=wonka, genre=horror)", "inform(theater)")
+    clash = ("inform(moviename=wonka, genre=horror)", "inform(price)")
     tells = ("inform(moviename=barbie)", "request(price)")
     held = [
         talk(clash, tells, rules=rules)[-1].memory.state["held"] == NO_MATCH
-        for rules in ((), ("drop_no_match",))
+        for rules in ((), ("take_back",))
     ]
     assert [bool(slots.any()) for slots in held] == [True, False]
 
@@ -154,15 +187,44 @@ def test_an_exact_name_that_the_understanding_dropped_is_checked(talk):
     assert yes.heard.informs == {"date": "friday", "moviename": "past lives"}
 
 
-def test_what_the_person_asks_for_is_not_asked_back(talk):
-    asks = (
-        "request(moviename) inform(city=reno)",
-        "request(moviename)",
-        "request(city)",
-        "request(date)",
+def test_a_name_that_no_record_has_is_asked_about(talk):
+    (answer,) = talk(("inform(city=atlantis, moviename=barbie)",))
+    assert (answer.acted, answer.said.requests) == (False, ("city",))
+    assert "atlantis" in answer.text.lower()
+    assert answer.memory.asking.waiting.informs == {"moviename": "barbie"}
+
+
+@pytest.mark.parametrize(
+    ("texts", "slot"),
+    [
+        (["request(city) inform(moviename=wonka)"], "city"),
+        (["inform(city=I do not care)"], "city"),
+        ([SHOWING, SHOWING], "city"),
+        ([OFFER[0], "request(theater)"], "theater"),
+    ],
+)
+def test_the_agent_does_not_ask_for_what_it_should_know(talk, texts, slot):
+    *first, last = texts
+    before = [(text, "request(actor)") for text in first]
+    *_, answer = talk(*before, (last, f"request({slot})", "request(zip)"))
+    assert answer.said.requests == ("zip",)
+
+
+def test_what_is_known_is_not_told_unasked_and_nothing_empty_is_said(talk):
+    wishes = ("inform(city)", "confirm_question", "deny", "inform(theater)")
+    (answer,) = talk((SHOWING, *wishes))
+    assert answer.said.informs.keys() == {"theater"}
+    assert answer.control == ("news",)
+
+
+@pytest.mark.parametrize(
+    ("rules", "heard"), [((), "request(city)"), (("aside",), "request(theater)")]
+)
+def test_a_question_in_place_of_an_answer_is_read_by_itself(talk, rules, heard):
+    *_, answer = talk(
+        ("inform(moviename=wonka)", "request(city)"), ("where?", "thanks"), rules=rules
     )
-    (answer,) = talk(asks)
-    assert str(answer.said) == "request(date)"
+    assert str(answer.heard) == heard
 
 
 def test_a_value_that_is_turned_round_is_checked(talk):

@@ -81,3 +81,17 @@ def test_a_user_who_is_asked_again_says_it_again(movie, simulator):
     assert speak.question is None  # no act of the agent's that its words would answer
     assert user.say(Frame("request", {}, (slot,))) == str(Frame("inform", {slot: informs[slot]}))
     assert speak.question == Frame("request", {}, (slot,))
+
+
+def test_a_user_takes_down_what_is_told_before_a_question_or_in_an_offer(movie, simulator):
+    goal = next(i for i, goal in enumerate(movie.goals, 1) if len(goal.requests) == 1)
+    (slot,) = movie.goals[goal - 1].requests
+    value = next(record[slot] for record in movie.records if slot in record)
+    for said in (
+        Frame("request", {slot: value}, ("actor",)),
+        Frame("inform", {slot: value, "taskcomplete": "ticket available"}),
+    ):
+        user = SimulatedUser(simulator, Letters(), goal, 0)
+        assert slot in Frame.parse(user.say(None)).requests
+        later = [Frame.parse(user.say(act)) for act in (said, *[Frame("confirm_answer")] * 9)]
+        assert all(slot not in frame.requests for frame in later)
