@@ -49,15 +49,18 @@ _FAULTS = ("dropped", "wrong", "repeated", "turned_round", "cut_off")
 class Talk:
     """One conversation, and its counts.
 
-    texts: of the person; values: told by it, and dropped: of them neither held nor asked about
-    after the reply; acted: replies by an act of the agent, and wrong: of them on a value or a
-    question that was not meant, or not on a question that was; questions: of the person, and
-    answered: of them in the next reply; late_questions, late_answered: the same after an offer;
-    asked: questions of the agent, and repeated: of them asked before, though nothing new was told
-    since, or the answer was; yes: to an offer, and yes_ends: of them, the conversation ended; never:
-    values excluded, and turned_round: of them held afterwards; unknown: names that the domain lacks,
-    and reported: of them told or asked about; cut_off: ended by the agent without a yes or a
-    farewell.
+    - texts: of the person
+    - values: told, and dropped: of them neither held nor asked about after the reply
+    - acted: replies by an act, and wrong: of them on a value or question that was not meant, or not
+      on a question that was
+    - questions: of the person, and answered: of them in the next reply; late: the same after an
+      offer
+    - asked: questions of the agent, and repeated: of them asked before, though nothing new was told
+      since, or the answer was
+    - yes: to an offer, and yes_ends: of them the conversation ended
+    - never: values excluded, and turned_round: of them held afterwards
+    - unknown: names that the domain lacks, and reported: of them told or asked about
+    - cut_off: ended by the agent without a yes or a farewell
     """
 
     def __init__(self, partner: Partner, person: Person) -> None:

@@ -35,6 +35,7 @@ _PREPOSITION = re.compile(
 _SINGULAR = pairs("singular")
 _ONE = re.compile(rf"\b(1|one) ({'|'.join(_SINGULAR)})\b")
 _SMALL = word_set("small_in_titles")
+_PROPER = re.compile(rf"\b({'|'.join(word_set('proper'))}|new year(?='s)|(may|march)(?= \d))\b")
 
 
 def capitalized(value: str, capitals: frozenset[str]) -> str:
@@ -148,7 +149,7 @@ class Generator:
         if not parts:
             agent = self._phrases.agent
             parts.append(self._fill(agent.get(frame.act) or agent["inform"], rng))
-        return _polished(_PREPOSITION.sub("", " ".join(sentence(part) for part in parts)))
+        return _polished(" ".join(sentence(part) for part in parts))
 
     def clarify(self, understood: Understood, *, session: str | int = 0, turn: int = 0) -> str:
         """Returns an agent's question about what it did not understand.
@@ -257,7 +258,8 @@ class Generator:
 
 
 def _polished(text: str) -> str:
-    """Returns a sentence with nouns in the singular after a one: "1 ticket"."""
+    """Returns a sentence with "1 ticket", "tomorrow" for "on tomorrow", and "Monday"."""
+    text = _PROPER.sub(lambda found: found[0].title(), _PREPOSITION.sub("", text))
     return _ONE.sub(lambda found: f"{found[1]} {_SINGULAR[found[2]]}", text)
 
 
