@@ -184,7 +184,7 @@ def main() -> None:
     agent = TrainedAgent(given.agent)
     spelling = Spelling(agent.domain)
     rules = RULE_NAMES if given.control == "all" else ()
-    nlu, nlg = cached_understander(agent.domain), Generator(agent.domain)
+    nlu, nlg = cached_understander(agent.domain), Generator(spelling.domain)
     partner = Partner(agent, nlu, nlg, spelling, rules=rules)
     judge, names = Judge(partner.domain), load_phrases(agent.domain).names
     goals = [goal for goal in partner.domain.goals if judge.is_attainable(goal)]

@@ -172,9 +172,9 @@ class Person:
             said = self._to_telling(answer)
         is_stuck = not said.requests and said.act != "yes" and not self._brings_news(said)
         self._worries = self._worries + 1 if is_stuck or said.text == self._last.text else 0
-        return (
-            Said(self._choose(self._hand["bye"]), act="bye") if self._worries > _PATIENCE else said
-        )
+        if self._worries > _PATIENCE:
+            return Said(self._choose(self._hand["bye"]), act="bye")
+        return said
 
     def _brings_news(self, said: Said) -> bool:
         return any(slot in self._untold for slot in said.informs)
@@ -255,7 +255,8 @@ class Person:
             ]
             if wrong:
                 return self._tell(wrong[:2], "fix")
-            foreign = [k for k in self._held if k not in goal and k not in self._answers]
+            known = {**goal, **self._answers}
+            foreign = [k for k, v in self._held.items() if k not in known and v not in _RESERVED]
             if foreign:
                 name = self._labels.get(foreign[0], foreign[0])
                 return Said(f"Any {name} is fine", {foreign[0]: ANY})

@@ -68,7 +68,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         own = Understander.load(given.understander, agent.domain)
     else:
         own = cached_understander(agent.domain, given.labeled, screen.print)
-    speak = Generator(agent.domain)
+    speak = Generator(spelling.domain)
     endpoint = Endpoint(given.url, given.model, os.environ.get(_KEY, ""))
     nlu = EndpointUnderstander(endpoint, own) if given.nlu == "endpoint" else own
     nlg = EndpointGenerator(endpoint, speak) if given.nlg == "endpoint" else speak

@@ -194,6 +194,7 @@ class Partner:
         missed = {}
         if "names" in self.control.rules and not (understood.unclear or is_bye):
             missed = self._spelling.of(self._spelling.missed(text, understood.frame))
+            missed = {k: v for k, v in missed.items() if k not in self._spelling.absent(missed)}
             frame = understood.frame
             informs = {**frame.informs, **missed}
             act = "inform" if missed and not frame.requests else frame.act

@@ -47,13 +47,13 @@ class AgentTalker:
 
     def __init__(self, study: Study, tell: Callable[[str], None] = lambda _: None) -> None:
         nlu = cached_understander(study.domain, None, tell)
-        nlg = Generator(study.domain)
         self._language = language_key(study.domain)
         if not has_own_phrases(study.domain):
             _log.warning("the domain %s %s", study.domain.name, GENERIC)
         self.labels = load_phrases(study.domain).names
         spelling = Spelling(study.domain)
         self.domain = spelling.domain
+        nlg = Generator(self.domain)
         # The tagger is not safe to be used by several threads at once.
         self._lock = threading.Lock()
         self._partners: dict[str, Partner] = {}
