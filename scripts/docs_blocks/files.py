@@ -6,8 +6,14 @@ import csv
 import re
 import shutil
 import sys
+from typing import TYPE_CHECKING
 
+from bbq_torchrl.runs.shipped import shipped_agents
 from scripts.docs_blocks.common import FIGURES, RESULTS, ROOT, block, table
+from scripts.talks.counts import SHARES, read, shares
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
 
 EXAMPLES = ROOT / "examples"
 
@@ -89,6 +95,29 @@ def _mean(rows: list[dict[str, str]], key: str) -> str:
         return "–"
     mean = f"{sum(values) / len(values):.2f}"
     return mean if len(values) == 1 else f"{mean} ({min(values):.2f}–{max(values):.2f})"
+
+
+def _shares(columns: Mapping[str, tuple[str, str]]) -> str:
+    """Returns the shares of conversations, a column for each name of a label and an agent."""
+    rows = read(RESULTS / "talks.csv")
+    found = [
+        shares(row for row in rows if (row["label"], row["agent"]) == column)
+        for column in columns.values()
+    ]
+    lines = [(name, *(part[name] for part in found)) for name in SHARES]
+    return table(("", *columns), lines, numbers=len(columns))
+
+
+@block("chat.talks")
+def _talks() -> str:
+    """Returns the shares of conversations before and after the control that answers at once."""
+    return _shares({name: (name, "shipped:bbqn_map") for name in ("before", "after")})
+
+
+@block("chat.talks_agents")
+def _talks_of_agents() -> str:
+    """Returns the shares of conversations of each shipped agent."""
+    return _shares({name: ("five cards", f"shipped:{name}") for name in shipped_agents()})
 
 
 def copy_figures() -> None:
