@@ -73,7 +73,7 @@ class Person:
         self._says = list(self._kind.get("says", ()))
         self._turn = self._worries = 0
         self._other: dict[str, str] = {}
-        self._last = Said("")
+        self.last = Said("")
         self._held: Mapping[str, str] = {}
 
     def say(self, answer: Answer | None, held: Mapping[str, str]) -> Said:
@@ -89,7 +89,7 @@ class Person:
             if slot in self._untold and not said.never:
                 self._untold.remove(slot)
         self._turn += 1
-        self._last = said
+        self.last = said
         return _voiced(said, self._kind.get("voice", ""), self._random)
 
     @property
@@ -171,7 +171,7 @@ class Person:
         else:
             said = self._to_telling(answer)
         is_stuck = not said.requests and said.act != "yes" and not self._brings_news(said)
-        self._worries = self._worries + 1 if is_stuck or said.text == self._last.text else 0
+        self._worries = self._worries + 1 if is_stuck or said.text == self.last.text else 0
         if self._worries > _PATIENCE:
             return Said(self._choose(self._hand["bye"]), act="bye")
         return said
@@ -193,7 +193,7 @@ class Person:
             slot
             for slot, value in wishes.items()
             if value != self._goal.constraints.get(slot, self._answers.get(slot))
-            and value != self._last.informs.get(slot)
+            and value != self.last.informs.get(slot)
         ]
         if not wrong:
             return Said(self._choose(self._hand["yes"]), wishes, act="yes")
@@ -206,7 +206,7 @@ class Person:
 
     def _again(self) -> Said:
         """Says the last once more, in other words."""
-        last = self._last
+        last = self.last
         if last.requests:
             return Said(self._question(last.requests[0]), requests=last.requests[:1])
         if last.informs and not last.never:
@@ -234,7 +234,7 @@ class Person:
         if (
             self._kind["asks"] == "back"
             and self.missing
-            and self._last.requests != (self.missing[0],)
+            and self.last.requests != (self.missing[0],)
         ):
             return self._ask(self.missing[0])
         if answer.said.choices:
