@@ -191,18 +191,14 @@ class Generator:
     ) -> list[Piece]:
         phrases = self._phrases.slots[slot].phrases
         if value == NO_MATCH_TEXT:
-            conflict = self._conflict(wishes, rng)
+            clash = self.conflict(wishes)
+            if not clash:  # the records that match do not say
+                return self._fill(self._phrases.agent["no_record"], rng, slot)
+            said = {"<wishes>": self._wishes({name: wishes[name] for name in clash}, rng)}
+            conflict = self._fill(self._phrases.agent["conflict"], rng, None, said)
             return self._fill(phrases["none"], rng, slot, {"<conflict>": conflict})
         said = {"<wishes>": self._wishes(wishes, rng), slot: [Piece(self._written(slot, value))]}
         return self._fill(phrases["tell"], rng, slot, said)
-
-    def _conflict(self, wishes: Mapping[str, str], rng: random.Random) -> list[Piece]:
-        """Returns the fewest wishes that no record meets, in words."""
-        clash = self.conflict(wishes)
-        if not clash:
-            return self._fill(self._phrases.agent["no_wishes"], rng)
-        said = {"<wishes>": self._wishes({slot: wishes[slot] for slot in clash}, rng)}
-        return self._fill(self._phrases.agent["conflict"], rng, None, said)
 
     def conflict(self, wishes: Mapping[str, str]) -> tuple[str, ...]:
         """Returns the fewest slots whose values no record has together; none if one has them all.
