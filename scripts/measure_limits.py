@@ -1,7 +1,7 @@
 """Measures the nlu where a domain ends: ``results/limits.json``.
 
-The sentences of ``tests/data/language/limits`` were written by hand before the nlu could do this. Those
-reported were never learned or chosen by; ``--dev`` measures those that were chosen by, and writes nothing.
+The sentences of ``tests/data/language/limits`` were written by hand before the nlu could do this.
+Those reported were never learned or chosen by; ``--dev`` measures the others, and writes nothing.
 """
 
 from __future__ import annotations
@@ -16,7 +16,10 @@ from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.domains.frames import ANY, Frame
 from bbq_torchrl.people.language import Understander, read_lines
 from bbq_torchrl.people.language.cache import cached_understander
+from bbq_torchrl.people.language.measure import VOICES
+from bbq_torchrl.people.language.understand import keys_of
 from bbq_torchrl.people.language.words import compact, is_farewell
+from bbq_torchrl.utils import output
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -111,7 +114,7 @@ def unknown(understand: Understander, lines: Sequence[Row]) -> dict[str, Any]:
 
 
 def dropped(understand: Understander, lines: Sequence[Line]) -> dict[str, Any]:
-    """Returns the share of the values said that are acted on without: no value of the slot heard."""
+    """Returns the share of values that are acted on without: no value of the slot was heard."""
     said, lost, wrong, failures = 0, 0, 0, []
     for question, text, frame in lines:
         heard = understand(text, question)
@@ -139,6 +142,39 @@ def dropped(understand: Understander, lines: Sequence[Line]) -> dict[str, Any]:
     }
 
 
+def unseen(
+    understand: Understander, lines: Sequence[Line], titles: Sequence[str]
+) -> dict[str, Any]:
+    """Returns the slot F1 of sentences with known titles, and with titles that the domain lacks.
+
+    A reported unknown name counts as a value.
+    """
+    shared, pairs = [0, 0], [0, 0]
+    named = [line for line in lines if line.frame.informs.get("moviename", "") in line.text.lower()]
+    named = [line for line in named if "moviename" in line.frame.informs]
+    for at, (question, text, frame) in enumerate(named):
+        title, other = frame.informs["moviename"], titles[at % len(titles)]
+        for column, name in enumerate((title, other)):
+            start = text.lower().index(title)
+            heard = understand(text[:start] + name + text[start + len(title) :], question)
+            meant = keys_of(frame, understand.lexicon) | {"moviename": compact(name)}
+            got = keys_of(heard.frame, understand.lexicon)
+            if "moviename" in got:
+                got["moviename"] = compact(heard.frame.informs["moviename"])
+            unknown = {one.slot: compact(one.text) for one in heard.unclear if not one.candidates}
+            got |= unknown
+            shared[column] += len(got.items() & meant.items())
+            pairs[column] += len(got) + len(meant)
+    f1 = [2 * s / p for s, p in zip(shared, pairs, strict=True)]
+    return {
+        "sentences": len(named),
+        "slot_f1_known": f1[0],
+        "slot_f1_unseen": f1[1],
+        "cost": f1[0] - f1[1],
+        "failures": [],
+    }
+
+
 def main() -> None:
     """Measures all sets."""
     parser = argparse.ArgumentParser()
@@ -157,12 +193,17 @@ def main() -> None:
         "unknown_names": unknown(understand, rows(limits / f"unknown_names{end}.txt", domain)),
     }
     if not given.dev:
+        voices = [line for name in VOICES for line in read_lines(SETS / f"{name}.txt", domain)]
+        names = [pairs for _, _, pairs in rows(limits / "unknown_names.txt", domain)]
+        titles = [name for ((slot, name),) in names if slot == "moviename"]
+        figures["unseen_titles"] = unseen(understand, voices, titles)
         figures["crowded"] = dropped(understand, read_lines(limits / "crowded.txt", domain))
     for name, own in figures.items():
         failures = own.pop("failures")
-        print(name, json.dumps({key: round(value, 4) for key, value in own.items()}))
+        rounded = {key: round(value, 4) for key, value in own.items()}
+        output.write(f"{name} {json.dumps(rounded)}\n")
         if given.dev:
-            print(*(f"    {line}" for line in failures), sep="\n")
+            output.write("".join(f"    {line}\n" for line in failures))
     if not given.dev:
         RESULT.write_text(json.dumps(figures, indent=1) + "\n", encoding="utf-8")
 

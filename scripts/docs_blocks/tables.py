@@ -127,6 +127,18 @@ def _quality() -> str:
     return pivot("", cells)
 
 
+@block("language.limits")
+def _limits() -> str:
+    """Returns how the nlu owns up to what it does not understand, before it could and now."""
+    cells = {}
+    for row in read_csv("limits_aims.csv"):
+        for column, file in (("before", "limits_before.json"), ("now", "limits.json")):
+            value = read_json(file)[row["set"]][row["key"]]
+            cells[row["what"], column] = f"{value:.3g}"
+        cells[row["what"], "aim"] = row["aim"] or "–"
+    return pivot("", cells)
+
+
 @block("language.voices")
 def _voices() -> str:
     found = read_json("language.json")["voices"]

@@ -13,20 +13,25 @@ if TYPE_CHECKING:
 OPENING = Frame("none")
 """Placeholder for the agent's last act before it has acted."""
 
+FOREIGN = Frame("foreign")
+"""Placeholder for what the domain cannot mean."""
+
 
 @dataclass(frozen=True)
 class Unclear:
-    """Words that name a value of a slot which is not known, or several.
+    """Words that name a value of a slot which is not known, or several, or not what is wanted.
 
     Args:
         slot: what they seem to be about.
         text: the words.
         candidates: the values that they may mean equally well; none for an unknown one.
+        is_denied: whether the person wants anything but this value: ``text`` names it.
     """
 
     slot: str
     text: str
     candidates: tuple[str, ...] = ()
+    is_denied: bool = False
 
 
 @dataclass(frozen=True)

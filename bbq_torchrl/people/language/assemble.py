@@ -10,7 +10,7 @@ from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT, Frame
 from bbq_torchrl.people.language.asking import OPENING, Unclear, asked_slot
 from bbq_torchrl.people.language.mentions import LONGEST, SHORT, values_of
 from bbq_torchrl.people.language.tagger import OUTSIDE
-from bbq_torchrl.people.language.words import COUNT_WORDS, NUMBER_WORDS, compact
+from bbq_torchrl.people.language.words import COUNT_WORDS, NUMBER_WORDS, POLITE, compact
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -26,9 +26,12 @@ _SURE = 0.95
 _ALSO = 0.7  # "what is there in the evening?" tells the time and asks for it
 _RATHER = 0.1
 _FAINT = 0.3
+_FOREIGN = 0.5
 _PLAINLY = math.log(0.75)
 _LEAST_LETTERS = 4
+_NAME = 5  # words of an answer that names no known value
 _ABOUT_VALUES = ("inform", "request", "confirm_question")
+_NOT = frozenset(("not", "no", "except"))
 _ANY = frozenset(("any", "anything", "whatever", "either"))
 _YES = frozenset("yes yeah yep yup right correct sure exactly ok okay indeed true y".split())
 
@@ -94,11 +97,24 @@ def assemble(
         return Frame("inform", {asked: offered}), ()
     act = lexicon.domain.acts[int(reading.acts.argmax())]
     informs, unclear = values_of(words, reading, question, lexicon)
-    asks = act == "request" and "?" in words  # "comedies?" is more than a name
-    if not asks and (short := _short_answer(words, reading, asked, lexicon)) is not None:
+    if reading.foreign > _FOREIGN:
+        return Frame("not_sure" if "not_sure" in lexicon.domain.acts else "inform"), unclear
+    is_more = act == "request" and "?" in words  # "comedies?" is more than a name
+    is_more |= any(one.is_denied for one in unclear)
+    if not is_more and (short := _short_answer(words, reading, asked, lexicon)) is not None:
         return Frame("inform", short), ()
     if not (informs or unclear) and act == "inform" and reading.dont_care.max() < _FAINT:
         informs = _named(words, asked, lexicon)
+    if (
+        act == "inform"
+        and asked in lexicon.slots
+        and lexicon.kinds[asked] == "text"
+        and not (informs or unclear)
+        and len(words) <= _NAME
+        and max(reading.dont_care.max(), reading.requests.max()) < _FAINT
+        and (name := " ".join(word for word in words if word not in POLITE))
+    ):
+        return Frame("inform"), (Unclear(asked, name),)
     checked = question.informs if question.act == "confirm_question" else {}
     if checked and not informs and words[0] in _YES and len(words) <= SHORT:
         return Frame("inform", dict(checked)), ()
@@ -123,7 +139,8 @@ def _decided(
     cares = dict(zip(domain.slots, reading.dont_care.tolist(), strict=True))
     requests = tuple(s for s, chance in asked.items() if chance > (_ALSO if s in told else 0.5))
     is_known = reading.unknown < 1.0  # Words that nobody has heard of say nothing.
-    open_ = [slot for slot in lexicon.slots if slot not in told]
+    denied = {one.slot for one in unclear if one.is_denied}
+    open_ = [slot for slot in lexicon.slots if slot not in told and slot not in denied]
     free = {slot: ANY for slot in open_ if is_known and cares[slot] > 0.5}
     has_content = bool(told or unclear)
     is_offer = domain.complete_slot in question.informs
@@ -174,7 +191,7 @@ def _short_answer(
     words: Sequence[str], reading: Reading, slot: str | None, lexicon: Lexicon
 ) -> dict[str, str] | None:
     """Returns the value of the slot asked for, if the words are just one of its names."""
-    if slot is None or len(words) > SHORT:
+    if slot is None or len(words) > SHORT or words[0] in _NOT:
         return None
     if lexicon.kinds.get(slot) == "count" and (
         "?" in words or not {OUTSIDE, slot}.issuperset(reading.tags)

@@ -10,9 +10,11 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from tqdm import tqdm
+
 from bbq_torchrl.people.language.labeled import DRILLED_FILE, LEARNED_FILE, read_lines
 from bbq_torchrl.people.language.phrases import LANGUAGE_FILE
-from bbq_torchrl.people.language.understand import Understander
+from bbq_torchrl.people.language.understand import TICKS, Understander
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -32,7 +34,8 @@ def cached_understander(
     Args:
         domain: what is spoken of, with its phrases in its folder; of none, the generic ones.
         labeled: own labeled lines to learn from as well.
-        tell: is told when training begins, which takes a minute.
+        tell: is told when training begins, which takes a minute; on a terminal a bar shows how
+            far it is.
 
     Raises:
         ValueError or OSError: a file that cannot be used.
@@ -44,7 +47,8 @@ def cached_understander(
         _make_private(kept.parent)
         return Understander.load(kept, domain)
     tell("Learning the language of the domain, once; it takes about a minute ...")
-    own = Understander.train(domain, labeled=lines)
+    with tqdm(total=TICKS, desc="learning", disable=None, leave=False) as bar:  # on a terminal
+        own = Understander.train(domain, labeled=lines, tick=bar.update)
     with suppress(OSError):  # without a cache folder it is made anew
         _make_private(kept.parent)
         own.save(kept)

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _PEOPLE = 10.0  # how much of the grammar's weights people's sentences must outweigh
 _GRAMMAR = 1.0
 _WHOLE = 0.3  # log-odds by which the whole model is more often right than those of half the lines
-CUES = 11
+CUES = 12
 
 
 def cues_of(
@@ -37,7 +37,8 @@ def cues_of(
     The log-probability of the tags, of all requests and of all that does not matter, the
     probability of the frame's act, the share of unknown words, whether something is unclear,
     whether the frame stays the same without small words, whether it tells and asks nothing,
-    whether the words have a question mark, whether they have several clauses, and 1.
+    whether the words have a question mark, whether they have several clauses, the log-probability
+    that the domain can mean them, and 1.
 
     Args:
         words: of the sentence.
@@ -59,6 +60,7 @@ def cues_of(
             frame == Frame("inform") and not unclear,
             "?" in words,
             not BREAKS.isdisjoint(words[:-1]),
+            math.log(max(1 - reading.foreign, 1e-4)),
             1.0,
         ]
     )

@@ -167,7 +167,8 @@ class Generator:
         if unclear.candidates:
             return sentence(self._choose(unclear.slot, unclear.candidates[:_MOST_CHOICES], rng))
         words = {"<words>": [Piece(unclear.text)]}
-        return sentence(self._fill(self._phrases.agent["unknown"], rng, unclear.slot, words))
+        use = "denied" if unclear.is_denied else "unknown"
+        return sentence(self._fill(self._phrases.agent[use], rng, unclear.slot, words))
 
     def check(self, values: Mapping[str, str], *, session: str | int = 0, turn: int = 0) -> str:
         """Returns an agent's question whether some values are right.

@@ -12,13 +12,13 @@ from torch import nn
 from torch.nn import functional
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
 _WIDTH = 48
 _BATCH = 512
 _RATE = 0.012
 _LEFT_OUT = 0.4
-_EPOCHS = 10
+EPOCHS = 10
 _MOST = 16_000  # features that are kept, those that most sentences have
 
 
@@ -99,6 +99,7 @@ def train_intents(
     names: tuple[Sequence[str], Sequence[str]],
     *,
     seed: int,
+    tick: Callable[[], object] = bool,
 ) -> IntentNet:
     """Returns a net fitted to sentences.
 
@@ -109,6 +110,7 @@ def train_intents(
         dont_care: float ``[N, S + 1]``.
         names: the acts and the slots.
         seed: draws the first weights, the order and the features left out.
+        tick: called after each epoch.
     """
     count = Counter(chain.from_iterable(map(set, sentences)))
     ranked = sorted(
@@ -121,9 +123,9 @@ def train_intents(
         starts = sizes.cumsum(0) - sizes
         target = torch.tensor(acts)
         optimizer = torch.optim.Adam(net.parameters(), lr=_RATE, fused=True)
-        steps = _EPOCHS * (-(-len(sizes) // _BATCH))
+        steps = EPOCHS * (-(-len(sizes) // _BATCH))
         schedule = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.05, steps)
-        for _ in range(_EPOCHS):
+        for _ in range(EPOCHS):
             for rows in torch.randperm(len(sizes)).split(_BATCH):
                 own = sizes[rows]
                 shift = starts[rows] - own.cumsum(0) + own
@@ -141,5 +143,6 @@ def train_intents(
                 loss.backward()
                 optimizer.step()
                 schedule.step()
+            tick()
         net.bag.weight.data = net.bag.weight.data.half().float()
     return net.eval()

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, NamedTuple
 from bbq_torchrl.domains.frames import ANY, Frame
 from bbq_torchrl.people.language.asking import OPENING
 from bbq_torchrl.people.language.corpus import Example
+from bbq_torchrl.people.language.strange import Names
 from bbq_torchrl.people.language.tagger import OUTSIDE, spans_of
 from bbq_torchrl.people.language.words import compact, tokenize, words_of
 from bbq_torchrl.utils.text import FaultsError
@@ -27,7 +28,11 @@ LEARNED_FILE = "learned.txt"
 DRILLED_FILE = "drilled.txt"
 """Labeled lines written for what is hard: learned, but no measure of how sure to be."""
 
+_UNKNOWN = "?"
+"""Begins the label of a name that the domain does not have: ``city=?toledo``."""
+
 _LONGEST = 10
+_MADE_UP = 0.4
 
 
 class Line(NamedTuple):
@@ -86,6 +91,12 @@ def lines_of(domain: Domain, name: str) -> list[Line]:
     return read_lines(path, domain) if path is not None and path.is_file() else []
 
 
+def without_unknown(frame: Frame) -> Frame:
+    """Returns a labeled frame as it is understood: names that are not known are reported apart."""
+    informs = {slot: v for slot, v in frame.informs.items() if not v.startswith(_UNKNOWN)}
+    return replace(frame, informs=informs)
+
+
 def as_examples(lines: Sequence[Line], lexicon: Lexicon) -> list[Example]:
     """Returns labeled lines as sentences to learn from.
 
@@ -99,10 +110,22 @@ def as_examples(lines: Sequence[Line], lexicon: Lexicon) -> list[Example]:
         for slot, value in frame.informs.items():
             if value == ANY or slot not in lexicon.names:
                 continue  # of a slot without values, such as "anything of that series"
-            if (place := _place(words, tags, slot, value, lexicon)) is not None:
+            place = (
+                _said(words, tokenize(value.removeprefix(_UNKNOWN)))
+                if value.startswith(_UNKNOWN)
+                else _place(words, tags, slot, value, lexicon)
+            )
+            if place is not None:
                 tags[place.start : place.stop] = [slot] * len(place)
-        examples.append(Example(words, tags, frame, question or OPENING))
+        examples.append(Example(words, tags, without_unknown(frame), question or OPENING))
     return examples
+
+
+def _said(words: list[str], name: list[str]) -> range | None:
+    """Returns where some words stand in others."""
+    starts = range(len(words) - len(name) + 1)
+    found = (at for at in starts if words[at : at + len(name)] == name)
+    return next((range(at, at + len(name)) for at in found), None)
 
 
 def _place(
@@ -144,6 +167,8 @@ def varied(
 ) -> list[Example]:
     """Returns sentences as they are, and copies of each that say other values in its words.
 
+    Of the names in the copies some are made up: a name that is not known is found by its context.
+
     Args:
         examples: the sentences.
         lexicon: the values.
@@ -152,13 +177,15 @@ def varied(
         seed: chooses the values.
     """
     rng = random.Random(seed)
+    names = Names(lexicon)
     found = list(examples)
     for example in examples:
         for _ in range(copies):
             words, tags, at = [], [], 0
             for slot, start, end in spans_of(example.tags):
                 value = rng.choice(lexicon.values(slot))
-                other = tokenize(surfaces(slot, value, rng))
+                other = names.made_up(slot, rng) if rng.random() < _MADE_UP else []
+                other = other or tokenize(surfaces(slot, value, rng))
                 words += [*example.words[at:start], *other]
                 tags += [*example.tags[at:start], *[slot] * len(other)]
                 at = end

@@ -10,7 +10,7 @@ from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.people.language.corpus import make_examples
-from bbq_torchrl.people.language.labeled import Line, read_lines
+from bbq_torchrl.people.language.labeled import Line, read_lines, without_unknown
 from bbq_torchrl.people.language.noise import lowered, with_typos
 from bbq_torchrl.people.language.understand import keys_of, same_frame
 
@@ -53,7 +53,8 @@ def score(
     """
     right, acts, confidences, answered = [], [], [], []
     shared = pairs = 0
-    for question, text, frame in lines:
+    for question, text, label in lines:
+        frame = without_unknown(label)
         heard = understand(change(text), question)
         got = keys_of(heard.frame, understand.lexicon).items()
         meant = keys_of(frame, understand.lexicon).items()

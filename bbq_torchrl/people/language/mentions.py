@@ -7,8 +7,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from bbq_torchrl.people.language.asking import Unclear, asked_slot
 from bbq_torchrl.people.language.quantities import DAY_WORDS, MONTH_WORDS, ORDINAL_WORDS, PART_WORDS
-from bbq_torchrl.people.language.tagger import spans_of
-from bbq_torchrl.people.language.words import COUNT_WORDS, NUMBER_WORDS, word_set
+from bbq_torchrl.people.language.tagger import OUTSIDE, Span, spans_of
+from bbq_torchrl.people.language.words import (
+    COUNT_WORDS,
+    ENGLISH,
+    NUMBER_WORDS,
+    POLITE,
+    compact,
+    word_set,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -28,10 +35,19 @@ SHORT = 4
 _CORRECTS = word_set("corrects")
 _CONCLUDES = word_set("concludes")
 _REASONS = frozenset(("since", "because", "although", "though", "unless", "cause", "cuz", "as"))
-_NOT = frozenset(("not", "isn't", "isnt", "except", "anything"))
+_NOT = frozenset(("not", "no", "except"))
+_DENIED_BEFORE, _DENIED_AFTER = (
+    [re.compile(pattern) for pattern in ENGLISH[name]] for name in ("denied_before", "denied_after")
+)
+_RANGES = ENGLISH["ranges"]
+_RANGE = re.compile(rf"(.+?) ({'|'.join(_RANGES)})\b")
+_NO = re.compile(ENGLISH["denied_by_no"])
+_CLAUSE = re.compile(r"[^\w' ]")
 _QUANTITY_WORDS = DAY_WORDS | MONTH_WORDS | NUMBER_WORDS | ORDINAL_WORDS | PART_WORDS
 _LIKELY = 0.85
 _LEAST = 0.4
+_MAYBE = 0.95  # how likely a known name must be none to be passed over
+_LETTERS = 4
 
 
 class _Mention(NamedTuple):
@@ -57,29 +73,47 @@ def values_of(
     found: dict[str, list[_Mention]] = {}
     first: dict[str, int] = {}
     concluded: set[str] = set()
-    for slot, start, end in spans_of(reading.tags):
+    for slot, start, end in sorted(
+        [*spans_of(reading.tags), *_missed(words, reading, asked, lexicon)],
+        key=lambda span: span.start,
+    ):
+        while start + 1 < end and (words[start] in _NOT or not compact(words[start])):
+            start += 1
         text = " ".join(words[start:end])
         if lexicon.kinds[slot] == "count":
             start, end = _company(slot, words, start, end, lexicon)
             text = " ".join(words[start:end])
+        ranged = None
+        if lexicon.kinds[slot] != "text":
+            ranged = _RANGE.match(" ".join(words[start : end + 3]))
+        if ranged is not None and len(ranged[0].split()) >= end - start:
+            text = f"{_RANGES[ranged[2]]} {ranged[1]}"
         link = lexicon.link(slot, text)
         if not link.values and (other := lexicon.only_slot(text)) is not None:
             slot, link = other, lexicon.link(other, text)
-        parts = [(text, link)] if link.values else _within(slot, words[start:end], lexicon)
+        parts = (
+            [(text, link)] if link.values or ranged else _within(slot, words[start:end], lexicon)
+        )
         if not link.values and lexicon.kinds[slot] != "text" and not _is_quantity(words[start:end]):
             continue  # No number, day or clock in it: a word that only stood where one could.
         if lexicon.kinds[slot] == "text" and link.score < 1.0:
             inside = _within(slot, words[start:end], lexicon)
             if exact := [part for part in inside if part[1].score == 1.0]:
                 parts = exact  # "one drama"
+            elif not link.values:
+                parts = [(text, link)]  # "groundhog day" is no "day one"
             elif slot != asked and min(reading.each_chance[start:end]) < (
                 _LIKELY if end - start == 1 or link.score < _FAIR else _LEAST
             ):
                 continue  # Words that are no more than like a name are often none.
-        is_denied = not _NOT.isdisjoint(words[max(0, start - 2) : start])
+        is_denied = _is_denied(words, start, end, is_first=slot not in first)
         if slot in first and not _CONCLUDES.isdisjoint(words[first[slot] : start]):
             concluded.add(slot)
-        elif slot in first and not _REASONS.isdisjoint(words[first[slot] : start]):
+        elif (
+            slot in first
+            and not _REASONS.isdisjoint(words[first[slot] : start])
+            and not all(mention.is_denied for mention in found[slot])
+        ):
             continue  # "Thursday night, since Friday is a holiday"
         first.setdefault(slot, end)
         mentions = found.setdefault(slot, [])
@@ -93,6 +127,11 @@ def values_of(
         known = [mention for mention in mentions if mention.link.values]
         if len(known) > 1 and (corrects or slot in concluded):
             known = ([mention for mention in known if not mention.is_denied] or known)[-1:]
+        if known and all(mention.is_denied for mention in known):
+            if slot not in question.informs:
+                unclear.append(Unclear(slot, known[-1].text, is_denied=True))
+            continue
+        known = [mention for mention in known if not mention.is_denied]
         if any(mention.link.is_exact for mention in known):
             # Beside a name in full, words that are no more than like one are none.
             known = [mention for mention in known if mention.link.score == 1.0]
@@ -108,6 +147,49 @@ def values_of(
         else:
             unclear.append(Unclear(slot, mentions[-1].text, tuple(keys.values())))
     return informs, tuple(unclear)
+
+
+def _missed(
+    words: Sequence[str], reading: Reading, asked: str | None, lexicon: Lexicon
+) -> list[Span]:
+    """Returns the full names that the tagger passed over, but should not.
+
+    They are denied, or of a slot of which it found nothing. A polite word is a name only where it
+    is denied and the slot asked for.
+    """
+    found: list[Span] = []
+    tags = list(reading.tags)
+    for size in range(min(LONGEST, len(words)), 0, -1):
+        for start in range(len(words) - size + 1):
+            end = start + size
+            name = " ".join(words[start:end])
+            is_short = len(name) < _LETTERS and name.isalpha()
+            has_edges = compact(words[start]) and compact(words[end - 1])
+            if set(tags[start:end]) != {OUTSIDE} or is_short or not has_edges:
+                continue
+            slot = lexicon.only_slot(name)
+            is_polite = name in POLITE
+            is_denied = (slot == asked or not is_polite) and _is_denied(words, start, end)
+            is_doubtful = max(reading.each_chance[start:end]) < _MAYBE and not is_polite
+            if slot is not None and (is_denied or (is_doubtful and slot not in reading.tags)):
+                found.append(Span(slot, start, end))
+                tags[start:end] = [slot] * size
+    return found
+
+
+def _is_denied(words: Sequence[str], start: int, end: int, *, is_first: bool = True) -> bool:
+    """Returns whether the words around a name say that it is not what is wanted.
+
+    Behind another name of its slot, and before a number, a "no" takes back what was said.
+    """
+    before = _CLAUSE.split(" ".join(words[max(start - 8, 0) : start]))[-1].strip()
+    after = _CLAUSE.split(" ".join(words[end : end + 6]))[0].strip()
+    says_no = is_first and not any(map(str.isdigit, "".join(words[start:end])))
+    return (
+        (says_no and _NO.search(before) is not None)
+        or any(pattern.search(before) for pattern in _DENIED_BEFORE)
+        or any(pattern.search(after) for pattern in _DENIED_AFTER)
+    )
 
 
 def _company(

@@ -3,21 +3,21 @@
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
 import torch
 
 from bbq_torchrl.domains.frames import Frame
-from bbq_torchrl.people.language.asking import asked_slot
-from bbq_torchrl.people.language.features import Features
+from bbq_torchrl.people.language.asking import FOREIGN, asked_slot
+from bbq_torchrl.people.language.features import UNKNOWN, Features
 from bbq_torchrl.people.language.intents import IntentNet, train_intents
 from bbq_torchrl.people.language.tagger import OUTSIDE, Tagger
 from bbq_torchrl.people.language.words import BREAKS
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from bbq_torchrl.people.language.corpus import Example
     from bbq_torchrl.people.language.lexicon import Lexicon
@@ -38,6 +38,7 @@ class Reading:
         requests: the probability that each slot is asked for, ``[S]``.
         dont_care: the probability that each slot does not matter, ``[S]``.
         unknown: the share of the words that no training sentence has.
+        foreign: the probability that the domain cannot mean it.
     """
 
     tags: list[str]
@@ -47,6 +48,7 @@ class Reading:
     requests: torch.Tensor
     dont_care: torch.Tensor
     unknown: float
+    foreign: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -60,7 +62,7 @@ class Model:
     @torch.no_grad()
     def read(self, words: Sequence[str], question: Frame) -> Reading:
         """Returns the reading of a sentence of one word or more."""
-        tags, chance, each = self.tagger(self.features.of_words(words, question))
+        tags, chance, each = _tagged(self.tagger, self.features, words, question)
         parts = [(words, tags), *_clauses(words, tags)]
         named = [self.features.of_sentence(*part, question) for part in parts]
         acts, requests, dont_care = self.net(*self.net.encode(named))
@@ -75,11 +77,20 @@ class Model:
             chance,
             each,
             # By the labeling guide the act is what a sentence begins with: its first clause's.
-            acts.log_softmax(-1)[:2].mean(0).log_softmax(-1),
+            acts[:, :-1].log_softmax(-1)[:2].mean(0).log_softmax(-1),
             asks,
             _of_slots(dont_care[0], asked),
             self.features.share_unknown(words),
+            acts[0].softmax(-1)[-1].item(),
         )
+
+
+def _tagged(
+    tagger: Tagger, features: Features, words: Sequence[str], question: Frame
+) -> tuple[list[str], float, list[float]]:
+    """Returns what :meth:`Tagger.__call__` says of a sentence."""
+    is_unknown = [features.spelled(word) == UNKNOWN for word in words]
+    return tagger(features.of_words(words, question), is_unknown)
 
 
 def _clauses(
@@ -110,9 +121,11 @@ def fit(
     lexicon: Lexicon,
     examples: Sequence[Example],
     simulated: Sequence[Example],
+    foreign: Sequence[Example],
     *,
     seed: int,
     steps: int,
+    tick: Callable[[], object] = bool,
 ) -> Model:
     """Returns a model fitted to sentences; equal arguments give equal bits.
 
@@ -120,8 +133,10 @@ def fit(
         lexicon: whose names help, of the domain whose acts and slots are read.
         examples: the sentences.
         simulated: sentences that the net learns from as well, but the tagger does not.
+        foreign: the same, of what the domain cannot mean; their tags are the tagger's.
         seed: of the net.
         steps: of the tagger's optimizer.
+        tick: called after each of them, and after each epoch of the net.
     """
     domain = lexicon.domain
     words = Counter(
@@ -130,14 +145,18 @@ def fit(
     known = [word for word, count in words.items() if count > 1]
     features = Features(lexicon, known)
     # "Friday or Saturday" informs of neither, which is not to be learned of the names.
-    named = [e for e in examples if e.frame != Frame("inform")]
+    named = [e for e in examples if e.frame != Frame("inform") or {*e.tags} != {OUTSIDE}]
     tagger = Tagger.train(
         [features.of_words(e.words, e.question) for e in named],
         [e.tags for e in named],
         steps,
+        tick,
     )
-    slots = domain.slots
+    slots, acts = domain.slots, (*domain.acts, FOREIGN.act)
     examples = [*examples, *simulated]
+    for example in foreign:  # what is unknown in them is no name, but may be taken for one
+        tags, _, _ = _tagged(tagger, features, example.words, example.question)
+        examples.append(replace(example, tags=tags))
     requests = torch.zeros(len(examples), len(slots) + 1)
     dont_care = torch.zeros(len(examples), len(slots) + 1)
     for row, example in enumerate(examples):
@@ -148,10 +167,11 @@ def fit(
                 target[row, len(slots) if slot == asked else slots.index(slot)] = 1.0
     net = train_intents(
         [features.of_sentence(e.words, e.tags, e.question) for e in examples],
-        [domain.acts.index(e.frame.act) for e in examples],
+        [acts.index(e.frame.act) for e in examples],
         requests,
         dont_care,
-        (domain.acts, slots),
+        (acts, slots),
         seed=seed,
+        tick=tick,
     )
     return Model(features, tagger, net)

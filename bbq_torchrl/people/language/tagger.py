@@ -10,10 +10,12 @@ from typing import TYPE_CHECKING, NamedTuple
 from bbq_torchrl.utils.extras import needed
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
 OUTSIDE = "-"
 """The tag of a word that is part of no value."""
+
+_SURE = 0.6
 
 
 class Span(NamedTuple):
@@ -44,7 +46,11 @@ class Tagger:
 
     @classmethod
     def train(
-        cls, rows: Sequence[Sequence[Sequence[str]]], tags: Sequence[Sequence[str]], steps: int
+        cls,
+        rows: Sequence[Sequence[Sequence[str]]],
+        tags: Sequence[Sequence[str]],
+        steps: int,
+        tick: Callable[[], object] = bool,
     ) -> Tagger:
         """Returns a tagger fitted to sentences.
 
@@ -52,8 +58,10 @@ class Tagger:
             rows: the features of each word of each sentence.
             tags: the tags of the same.
             steps: of L-BFGS, at most.
+            tick: called after each.
         """
-        trainer = needed("python-crfsuite", "pycrfsuite").Trainer(verbose=False)
+        trainer = needed("python-crfsuite", "pycrfsuite").Trainer()
+        trainer.message = lambda text: tick() if "Iteration #" in text else None
         for row, own in zip(rows, tags, strict=True):
             trainer.append(row, own)
         trainer.set_params({"c1": 0.05, "c2": 0.02, "max_iterations": steps, "feature.minfreq": 2})
@@ -62,13 +70,21 @@ class Tagger:
             trainer.train(str(path))
             return cls(path.read_bytes())
 
-    def __call__(self, rows: Sequence[Sequence[str]]) -> tuple[list[str], float, list[float]]:
+    def __call__(
+        self, rows: Sequence[Sequence[str]], is_unknown: Sequence[bool]
+    ) -> tuple[list[str], float, list[float]]:
         """Returns the best tags of a sentence, their probability, and that of each tag.
 
         Args:
             rows: the features of each word, of one word or more.
+            is_unknown: of each word, whether it is unknown: it is part of a name unless that is
+                unlikely.
         """
         tags = self._tagger.tag(rows)
+        for at in (at for at, tag in enumerate(tags) if tag == OUTSIDE and is_unknown[at]):
+            if self._tagger.marginal(OUTSIDE, at) < _SURE:
+                slots = (slot for slot in self._tagger.labels() if slot != OUTSIDE)
+                tags[at] = max(slots, key=lambda slot: self._tagger.marginal(slot, at))
         each = [self._tagger.marginal(tag, at) for at, tag in enumerate(tags)]
         return tags, self._tagger.probability(tags), each
 

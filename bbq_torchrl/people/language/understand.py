@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import numpy as np
 import torch
 
-from bbq_torchrl.people.language.asking import OPENING, Understood
+from bbq_torchrl.people.language.asking import FOREIGN, OPENING, Understood
 from bbq_torchrl.people.language.assemble import assemble
 from bbq_torchrl.people.language.confidence import CUES, cues_of, fit_confidence, probability
 from bbq_torchrl.people.language.corpus import make_examples, spoiled
 from bbq_torchrl.people.language.features import Features
-from bbq_torchrl.people.language.intents import IntentNet
+from bbq_torchrl.people.language.intents import EPOCHS, IntentNet
 from bbq_torchrl.people.language.labeled import (
     DRILLED_FILE,
     LEARNED_FILE,
@@ -26,12 +26,13 @@ from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.model import Model, fit
 from bbq_torchrl.people.language.model_file import read_model, write_model
 from bbq_torchrl.people.language.noise import DROPPED
+from bbq_torchrl.people.language.strange import make_foreign
 from bbq_torchrl.people.language.surfaces import Surfaces
 from bbq_torchrl.people.language.tagger import OUTSIDE, Tagger
 from bbq_torchrl.people.language.words import words_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Callable, Sequence
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.domains.frames import Frame
@@ -45,12 +46,19 @@ SENTENCES = 7_200
 THRESHOLD = 0.75
 """The confidence below which to ask again: .8 of the sentences of unseen hands are above it."""
 
+_STEPS, _BLIND_STEPS = 40, 30  # of the tagger's optimizer
+
+TICKS = _STEPS + _BLIND_STEPS + 2 * EPOCHS
+"""The most steps of learning."""
+
 _MOST_WORDS = 120
 _CALM = 0.3  # sentences of the grammar are more crowded than those of people
 _OWN = 4  # to so many sentences one of the grammar's own, at least
 _PLAYED = 4  # sentences of simulated users to one of the others
 _TAGGED = 16  # the tagger learns from one in so many of these
 _COPIES = 4  # at most, of each of people's sentences, with other values
+_UNKNOWN = 4  # one in so many of the grammar's sentences is learned with other values, too
+_FOREIGN = 4  # to one sentence that the domain cannot mean, so many of people's
 _SHARE = 4  # the smaller model learns from one in so many of the grammar's sentences
 
 
@@ -91,6 +99,7 @@ class Understander:
         seed: int = 0,
         labeled: Sequence[Line] = (),
         threshold: float = THRESHOLD,
+        tick: Callable[[], object] = bool,
     ) -> Understander:
         """Returns an understander that has learned from sentences of the domain's own grammar.
 
@@ -108,6 +117,7 @@ class Understander:
             seed: chooses them, and the net's first weights.
             labeled: lines of people's, learned as ``learned.txt``.
             threshold: the confidence below which the caller should ask again.
+            tick: called as it goes forward, at most :data:`TICKS` times.
 
         Raises:
             ValueError: if there are no sentences to learn from.
@@ -128,21 +138,30 @@ class Understander:
             surfaces = Surfaces(lexicon)
             copies = min(_COPIES, round(sentences / max(len(people) + len(hard), 1)))
 
-            def learned(examples: Sequence[Example], share: int, steps: int) -> Model:
+            def learned(
+                examples: Sequence[Example], share: int, steps: int, part: slice = slice(None)
+            ) -> Model:
                 """Returns a model of people's sentences and of one in ``share`` of the others."""
+                own = said[::share]
                 lines = varied([*examples, *hard], lexicon, surfaces, copies, seed)
-                lines = spoiled(lines, seed)
-                given = [*said[::share], *lines, *played[:: _TAGGED * share]]
-                return fit(lexicon, given, played[:: share * share], seed=seed, steps=steps)
+                some = own[::_UNKNOWN]
+                lines += varied(some, lexicon, surfaces, 1, seed)[len(some) :]
+                foreign = make_foreign(lexicon, said, sentences // _FOREIGN, seed, part)
+                given = [*own, *spoiled(lines, seed), *played[:: _TAGGED * share]]
+                net = played[:: share * share]
+                return fit(lexicon, given, net, foreign, seed=seed, steps=steps, tick=tick)
 
-            model = learned(people, 1, steps=40)
+            model = learned(people, 1, steps=_STEPS)
             others = make_examples(lexicon, max(sentences // 20, 200), seed + 1, noise=_CALM)
             start = np.zeros(CUES)
-            judged, apart = cls(lexicon, model, start)._judged(others), None
+            foreign = make_foreign(lexicon, said, len(others) // 2, seed + 1)
+            judged, apart = cls(lexicon, model, start)._judged([*others, *foreign]), None
             if people[1::2]:
                 # How sure to be is learned of people's sentences that the model has not seen.
-                blind = cls(lexicon, learned(people[::2], _SHARE, steps=30), start)
-                apart = blind._judged(people[1::4])
+                seen, unseen = slice(0, None, 2), slice(1, None, 2)
+                blind = cls(lexicon, learned(people[seen], _SHARE, _BLIND_STEPS, seen), start)
+                unknown = make_foreign(lexicon, said, len(people) // 20, seed + 1, unseen)
+                apart = blind._judged([*people[1::4], *unknown])
             calibration = fit_confidence(judged, apart)
         finally:
             torch.set_num_threads(threads)
@@ -233,7 +252,7 @@ class Understander:
                 f"from those of {domain.name!r}"
             )
         lexicon = Lexicon(domain)
-        net = IntentNet(about["features"], domain.acts, domain.slots)
+        net = IntentNet(about["features"], (*domain.acts, FOREIGN.act), domain.slots)
         net.load(arrays)
         tagger = Tagger(arrays["tagger"].tobytes())
         model = Model(Features(lexicon, about["known"]), tagger, net.eval())

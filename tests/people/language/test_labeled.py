@@ -78,14 +78,22 @@ def test_a_line_is_learned_with_other_values_as_well(lexicon):
     examples = as_examples([Line(None, "is wonka on in reno tonight", meant)], lexicon)
     found = varied(examples, lexicon, lambda slot, value, rng: value, copies=20, seed=0)
     assert found[0] == examples[0]
-    cities = set()
+    cities, made_up = set(), 0
     for example in found:
         tagged = list(zip(example.words, example.tags, strict=True))
         assert [word for word, tag in tagged if tag == "-"] == ["is", "on", "in"]
         city = " ".join(word for word, tag in tagged if tag == "city")
-        assert lexicon.link("city", city).score == 1.0
+        made_up += not lexicon.link("city", city).is_exact
         cities.add(city)
     assert len(cities) > 10
+    assert 2 <= made_up <= 15  # of 20 copies with two in five made up
+
+
+def test_a_name_that_is_not_known_is_learned_where_it_stands(lexicon):
+    meant = Frame.parse("request(ticket) inform(moviename=wonka, city=?lubbock)")
+    (example,) = as_examples([Line(None, "is wonka on in lubbock", meant)], lexicon)
+    assert example.tags == ["-", "moviename", "-", "-", "city"]
+    assert example.frame.informs == {"moviename": "wonka"}
 
 
 def test_own_lines_that_are_not_there_are_missed_though_an_understander_is_kept(

@@ -1,0 +1,166 @@
+"""Where a domain ends: what it cannot mean, names that it lacks, values that are denied."""
+
+from __future__ import annotations
+
+import random
+import re
+from pathlib import Path
+
+import pytest
+import torch
+
+from bbq_torchrl.domains import movie_domain
+from bbq_torchrl.people.language import Frame, Generator, Unclear, Understood
+from bbq_torchrl.people.language.asking import FOREIGN, OPENING
+from bbq_torchrl.people.language.assemble import assemble
+from bbq_torchrl.people.language.corpus import make_examples
+from bbq_torchrl.people.language.model import Reading
+from bbq_torchrl.people.language.strange import Names, make_foreign
+from bbq_torchrl.people.language.tagger import OUTSIDE
+from bbq_torchrl.people.language.words import ENGLISH, tokenize
+
+DEV = Path(__file__).parents[2] / "data" / "language" / "limits"
+
+
+def read(text, tagged, lexicon, question=None, *, act="inform", foreign=0.0):
+    """Returns the frame and what is unclear of words, as if these were tagged, and this act."""
+    words, domain = tokenize(text), lexicon.domain
+    tags = [tagged.get(word, OUTSIDE) for word in words]
+    acts = torch.tensor([-0.1 if name == act else -2.5 for name in domain.acts])
+    none = torch.zeros(len(domain.slots))
+    reading = Reading(tags, 1.0, [1.0] * len(tags), acts, none, none, 0.0, foreign)
+    return assemble(words, reading, question or OPENING, lexicon)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "not on friday",
+        "any day but friday",
+        "friday is no good",
+        "i can't do friday",
+        "everything except friday please",
+        "friday won't work for us",
+        "we are busy on friday",
+        "any day other than friday",
+        "friday is out of the question",
+    ],
+)
+@pytest.mark.parametrize("is_tagged", [True, False])
+def test_a_denied_value_is_reported_and_not_told(lexicon, text, is_tagged):
+    tagged = {"friday": "date"} if is_tagged else {}
+    frame, unclear = read(text, tagged, lexicon, Frame("request", {}, ("date",)))
+    assert "date" not in frame.informs
+    assert unclear == (Unclear("date", "friday", is_denied=True),)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "why not friday",
+        "friday , not too late please",
+        "friday if it is not sold out",
+        "no , friday",
+        "i don't mind , friday",
+        "friday isn't sold out , is it",
+        "let's say friday",
+        "friday too please",
+    ],
+)
+def test_words_of_denial_about_something_else_leave_the_value(lexicon, text):
+    frame, unclear = read(text, {"friday": "date"}, lexicon, Frame("request", {}, ("date",)))
+    assert (frame.informs, unclear) == ({"date": "friday"}, ())
+
+
+@pytest.mark.parametrize("text", ["not friday , saturday", "saturday instead of friday"])
+def test_beside_a_denied_value_the_other_one_is_meant(lexicon, text):
+    tagged = dict.fromkeys(("friday", "saturday"), "date")
+    frame, unclear = read(text, tagged, lexicon, Frame("request", {}, ("date",)))
+    assert (frame.informs, unclear) == ({"date": "saturday"}, ())
+
+
+def test_denying_what_the_agent_has_said_is_a_no(lexicon):
+    said = Frame("inform", {"city": "tulsa"})
+    frame, unclear = read("i do not live in tulsa", {"tulsa": "city"}, lexicon, said, act="deny")
+    assert (frame, unclear) == (Frame("deny"), ())
+
+
+@pytest.mark.parametrize(
+    ("text", "meant", "unknown"),
+    [
+        ("6 pm or later", "after 6pm", None),
+        ("6 pm", "6pm", None),
+        ("6:31 pm or later", None, "after 6:31 pm"),
+    ],
+)
+def test_a_range_is_what_was_meant_or_is_asked_about(lexicon, text, meant, unknown):
+    words = dict.fromkeys(("6", "6:31", "pm"), "starttime")
+    frame, unclear = read(text, words, lexicon, Frame("request", {}, ("starttime",)))
+    got = frame.informs.get("starttime")
+    key = lexicon.key
+    assert (got and key("starttime", got)) == (meant and key("starttime", meant))
+    assert [one.text for one in unclear] == ([unknown] if unknown else [])
+
+
+def test_an_unknown_name_is_reported_with_its_slot_and_words(lexicon):
+    frame, unclear = read(
+        "2 for xylqo vrit",
+        {"2": "numberofpeople", "xylqo": "moviename", "vrit": "moviename"},
+        lexicon,
+    )
+    assert frame.informs == {"numberofpeople": "2"}
+    assert unclear == (Unclear("moviename", "xylqo vrit"),)
+
+
+def test_what_the_domain_cannot_mean_tells_and_asks_nothing(lexicon):
+    tagged = {"tulsa": "city", "friday": "date"}
+    frame, _ = read("will it rain in tulsa on friday", tagged, lexicon, foreign=0.9)
+    assert frame == Frame("not_sure")
+
+
+def test_no_made_up_name_is_that_of_a_value(lexicon):
+    names, rng = Names(lexicon), random.Random(0)
+    for slot in lexicon.slots:
+        made = [" ".join(names.made_up(slot, rng)) for _ in range(40)]
+        if lexicon.kinds[slot] != "text":
+            assert set(made) == {""}
+            continue
+        assert sum(map(bool, made)) >= 30
+        assert not any(lexicon.link(slot, name).is_exact for name in filter(None, made))
+
+
+def test_foreign_sentences_are_of_the_phrases_asked_for(lexicon):
+    said = make_examples(lexicon, 50, 0)
+    made = make_foreign(lexicon, said, 200, 0, slice(0, None, 2))
+    others = make_foreign(lexicon, said, 200, 0, slice(1, None, 2))
+    assert all(example.frame == FOREIGN for example in made)
+    assert any(example.question == OPENING for example in made)
+    shared = {" ".join(e.words) for e in made} & {" ".join(e.words) for e in others}
+    assert len(shared) < 10
+
+
+def test_no_sentence_of_the_sets_was_learned():
+    own = " | ".join([*ENGLISH["foreign"], (movie_domain().folder / "language.yaml").read_text()])
+    for name in ("out_of_scope", "out_of_scope_dev"):
+        for line in (DEV / f"{name}.txt").read_text("utf-8").splitlines():
+            text = line.partition("|")[2].strip()
+            assert not text or text.lower() not in own.lower()
+
+
+def test_what_the_domain_cannot_mean_is_seldom_acted_on(understand):
+    """By sentences written by hand: .56 were acted on before they were a class."""
+    acted = []
+    for line in (DEV / "out_of_scope_dev.txt").read_text("utf-8").splitlines():
+        if line.startswith("#"):
+            continue
+        question, text = (part.strip() for part in line.split("|"))
+        heard = understand(text, Frame.parse(question) if question else None)
+        acted.append(not understand.asks(heard))
+    assert sum(acted) / len(acted) < 0.3
+
+
+def test_the_agent_asks_what_is_wanted_instead():
+    denied = Unclear("date", "friday", is_denied=True)
+    said = Generator(movie_domain()).clarify(Understood(Frame("inform"), 0.5, (denied,)))
+    assert re.search(r"\bnot friday\b", said, re.IGNORECASE)
+    assert said.endswith("?")
