@@ -77,7 +77,7 @@ def rows_of(
     for replica in read_run(folder):
         metrics, own, number = replica.metrics, replica.own, replica.number
         success, size = metrics["success_rate"][:, [number]], int(metrics["dialogues"][0, number])
-        row = {"agent": agent, "domain": setting[0], "errors": setting[1]}
+        row: Row = {"agent": agent, "domain": setting[0], "errors": setting[1]}
         row |= {"seed": replica.result.seed, "replica": number}
         row |= {f"booked after {first}": booked(success, size, first)[0] for first in budgets}
         row |= {
@@ -171,17 +171,16 @@ def _scores(
     return np.array([[row[column] for row in cells[agent, one]] for one in settings])
 
 
-def _over_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
-    def iqm(values: Any) -> Any:
-        return interquartile_mean(values.reshape(len(values), -1))
+def _iqm(scores: Any) -> Any:
+    return interquartile_mean(scores.reshape(*scores.shape[:-2], -1))
 
-    rows: list[Row] = []
-    for agent in next(iter(scores.values())):
-        row: Row = {"agent": agent}
-        for name, of in scores.items():
-            (value,) = iqm(of[agent][None])
-            row[f"IQM of {name}"] = Estimate(float(value), *map(float, stratified(iqm, of[agent])))
-        rows.append(row)
+
+def _over_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
+    rows: list[Row] = [
+        {"agent": agent}
+        | {f"IQM of {name}": _bootstrapped(_iqm, of[agent]) for name, of in scores.items()}
+        for agent in next(iter(scores.values()))
+    ]
     return Table("over", rows)
 
 
@@ -191,13 +190,15 @@ def _pairs_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
         row: Row = {"agents": f"{one} over {other}"}
         for name, of in scores.items():
             both = of[one], of[other]
-            ends = stratified(probability_of_improvement, *both)
-            row[f"P({name})"] = Estimate(
-                float(probability_of_improvement(*both)), *map(float, ends)
-            )
+            row[f"P({name})"] = _bootstrapped(probability_of_improvement, *both)
             row[f"{name} by pairs"] = difference((both[0] - both[1]).mean(0).tolist())
         rows.append(row)
     return Table("pairs", rows)
+
+
+def _bootstrapped(statistic: Callable[..., Any], *scores: Any) -> Estimate:
+    low, high = stratified(statistic, *scores)
+    return Estimate(float(statistic(*scores)), float(low), float(high))
 
 
 def _profile(scores: Any) -> Any:
