@@ -105,6 +105,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     reasons = {}
     try:
         for number, (cell, one) in enumerate(zip(cells, checked, strict=True), 1):
+            interruption.check()
             if one is not None:
                 _LOG.info("cell %d of %d: %s", number, len(cells), cell.name)
                 reasons[cell.name] = _play(cell, one)

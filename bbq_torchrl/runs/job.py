@@ -91,9 +91,10 @@ class Checks(Callback):
         """Checks every job of a sweep, and makes the sweep's folder."""
         with _refusing():
             sweep = prepare_sweep(_overrides(config))
+        folder = sweep.folder.absolute()  # workers of a Ray cluster have other working directories
         with read_write(config), open_dict(config):
-            config.hydra.sweep.dir = str(sweep.folder)
-            config.hydra.overrides.hydra.append(f"hydra.sweep.dir={quoted(sweep.folder)}")
+            config.hydra.sweep.dir = str(folder)
+            config.hydra.overrides.hydra.append(f"hydra.sweep.dir={quoted(folder)}")
         if not _command.wants_traceback:
             os.environ.pop(FULL_ERROR, None)  # Hydra reports failures job by job
         _command.sweep = sweep

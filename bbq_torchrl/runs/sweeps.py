@@ -19,6 +19,7 @@ from omegaconf import OmegaConf, open_dict, read_write
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
 from bbq_torchrl.options.settings import ConfigError
+from bbq_torchrl.runs.cluster import watched_head
 from bbq_torchrl.runs.compose import compose_raw, session, to_config
 from bbq_torchrl.runs.folders import named_folder, refuse_links, refuse_other_folder, reserve
 from bbq_torchrl.runs.overrides import LAUNCHER, key_of, read_override
@@ -47,6 +48,7 @@ FULL_ERROR = "HYDRA_FULL_ERROR"  # Hydra's variable; users set it for tracebacks
 _OF_A_JOB = "Error executing job with overrides"
 _SWEEPER = "BasicSweeper"  # Hydra's default
 _SLURM = ("slurm", "submitit_slurm")
+_RAY = "ray_tasks"
 _HEAD = ("run", "overrides", "final success", "state")
 
 SWEEP_CONFIG = "multirun.yaml"
@@ -69,6 +71,9 @@ class Sweep:
         quiet = cast("Any", sys.stderr and _StandardError(sys.stderr))
         with (
             interruption.on_interrupt(_stop_workers) if is_here else nullcontext(),
+            watched_head(self.show, self.how_to_continue)
+            if self.launcher == _RAY
+            else nullcontext(),
             redirect_stderr(quiet),
         ):
             yield
