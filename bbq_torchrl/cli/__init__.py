@@ -1,1 +1,1 @@
-"""Command lines: ``bbq``, ``bbq evaluate`` and ``bbq domains``."""
+"""Command lines: ``bbq``, ``bbq evaluate``, ``bbq bench`` and ``bbq domains``."""

@@ -12,18 +12,15 @@ if __name__ == "__main__":  # before anything that takes time to import
     interruption.listen()
 
 import logging
-import math
 import re
 import shlex
 import sys
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.options.registry import EXPERIMENT, load_folder, options
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.runs.overrides import key_of, refuse_second_folder, train_command
+from bbq_torchrl.runs.overrides import key_of, refuse_second_folder
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.output import between, page
 from bbq_torchrl.utils.text import sentence, shown
@@ -32,9 +29,7 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Sequence
 
-    from bbq_torchrl.evaluation.bench import Setting
-    from bbq_torchrl.options import Config
-    from bbq_torchrl.runs.checks import Checked
+    from bbq_torchrl.runs.bench import Cell
 
 _LOG = logging.getLogger(__name__)
 
@@ -43,44 +38,11 @@ ERRORS = ("0", "reference", "0.2")
 BUDGETS = (500, 1_000, 2_000, 7_500)
 SEEDS = 10
 
-PLAYS = 20
-"""Mean number of plays of a goal for pass^k: fewer than 8 are rare."""
-
-_PLAYED = "plays.json"
 _SET = (
     *("seed", "replicas", "resume", "domain", "env.slot_error_prob"),
     *("protocol.rounds", "protocol.eval_every"),
 )
 """Keys that the bench sets."""
-
-
-@dataclass(frozen=True)
-class Cell:
-    """An agent in a setting.
-
-    Attributes:
-        agent: the agent's name.
-        setting: domain and error level.
-        folder: the run folder.
-        overrides: those of ``bbq train``.
-        config: their configuration.
-    """
-
-    agent: str
-    setting: Setting
-    folder: Path
-    overrides: tuple[str, ...]
-    config: Config
-
-    @property
-    def name(self) -> str:
-        """Such as ``dqn on movie, errors 0``."""
-        return f"{self.agent} on {self.setting[0]}, errors {self.setting[1]}"
-
-    @property
-    def command(self) -> str:
-        """The command that trains the cell by itself."""
-        return shlex.join([*train_command(), *self.overrides])
 
 
 @output.refusing
@@ -94,12 +56,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         load_folder(given.config_dir)
     agents, domains = _agents(given.agents), _domains(given.domains)
     _refuse_set(given.set)
+    given.budgets = sorted(set(given.budgets))
+    from bbq_torchrl.runs import bench  # torch and torchrl take ten seconds
+
+    keys = ("folder", "errors", "budgets", "seeds", "seed")
+    shared = {key: getattr(given, key) for key in keys}
     cells = [
         cell
         for agent, overrides in agents.items()
-        for cell in _cells(given, agent, [*given.set, *overrides], domains)
+        for cell in bench.cells_of(agent, [*given.set, *overrides], domains=domains, **shared)
     ]
-    checked = [_checked(cell, to_train=not given.page) for cell in cells]
+    checked = [bench.checked(cell, to_train=not given.page) for cell in cells]
     given.folder.mkdir(parents=True, exist_ok=True)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     reasons = {}
@@ -108,14 +75,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
             interruption.check()
             if one is not None:
                 _LOG.info("cell %d of %d: %s", number, len(cells), cell.name)
-                reasons[cell.name] = _play(cell, one)
+                reasons[cell.name] = bench.play(cell, one)
     except interruption.Interrupted:
         output.print_error(interruption.line())
         return interruption.exit_code()
     missing = [
         f"{cell.name} ({reasons.get(cell.name) or 'not trained'})"
         for cell in cells
-        if not _is_played(cell)
+        if not cell.is_played
     ]
     output.write(_write(given, shlex.join(["bbq", "bench", *arguments]), cells, missing))
     return 1 if missing else 0
@@ -225,114 +192,17 @@ def _domains(given: Sequence[str]) -> dict[str, list[str]]:
     return domains
 
 
-def _cells(
-    given: Namespace, agent: str, overrides: list[str], domains: dict[str, list[str]]
-) -> list[Cell]:
-    """Returns the cells of an agent, with the refusals of their configurations."""
-    budgets = given.budgets = sorted(set(given.budgets))
-    dialogues = compose(overrides).protocol.dialogues
-    if uneven := [budget for budget in budgets if budget % dialogues]:
-        raise ConfigError(
-            f"--budgets must be multiples of a round's {dialogues} dialogues "
-            f"(protocol.dialogues), got {', '.join(map(str, uneven))}"
-        )
-    shared = [
-        *overrides,
-        f"seed={given.seed}",
-        f"replicas={given.seeds}",
-        f"protocol.rounds={budgets[-1] // dialogues}",
-        f"protocol.eval_every={math.gcd(*budgets) // dialogues}",
-    ]
-    cells = []
-    for domain, own in domains.items():
-        for errors in dict.fromkeys(given.errors):
-            chance = "null" if errors == "reference" else errors
-            whole = (*shared, *own, f"env.slot_error_prob={chance}")
-            folder = given.folder / domain / f"errors_{errors}" / agent
-            cells.append(Cell(agent, (domain, errors), folder, whole, compose(whole)))
-    return cells
-
-
-def _checked(cell: Cell, *, to_train: bool) -> Checked | None:
-    """Checks the run in a cell's folder and, as ``bbq train`` does, what is to be trained."""
-    from bbq_torchrl.runs.checks import check
-    from bbq_torchrl.runs.resume import restarted_config
-
-    try:
-        restarted_config(cell.config, cell.folder, way="choose another folder for this bench")
-        return check(cell.config) if to_train else None
-    except (ValueError, OSError) as error:
-        raise ConfigError(f"{cell.name}: {sentence(error)}") from error
-
-
-def _play(cell: Cell, checked: Checked) -> str:
-    """Trains a cell and plays its goals again and again. Returns why it could not; else empty."""
-    from bbq_torchrl.evaluation.results import write_json
-    from bbq_torchrl.runs.folders import run_lock
-    from bbq_torchrl.runs.resume import is_finished, restarted_config
-    from bbq_torchrl.runs.train import run
-    from bbq_torchrl.trainers import TrainingError
-
-    try:
-        with run_lock(cell.folder):
-            config = restarted_config(cell.config, cell.folder)
-            if not is_finished(cell.folder, config.protocol.rounds):
-                run(config, cell.folder, domain=checked.domain, spiking=checked.spiking)
-            if not _is_played(cell):
-                write_json(_plays(cell), cell.folder / _PLAYED)
-    except (TrainingError, ConfigError) as error:  # also another process at work in the folder
-        return sentence(error)
-    return ""
-
-
-def _is_played(cell: Cell) -> bool:
-    return (cell.folder / _PLAYED).is_file()
-
-
-def _plays(cell: Cell) -> dict[str, Any]:
-    """Plays a trained cell's goals. Returns plays and successes, [replicas, goals] each."""
-    import torch
-
-    from bbq_torchrl.evaluation.rollouts import evaluation_rollouts
-    from bbq_torchrl.runs.loading import load_run
-    from bbq_torchrl.trainers import derive_seed, episode_stats
-
-    config = cell.config
-    goals = len(config.domain.make().goals)
-    dialogues = PLAYS * goals
-    places = config.protocol.places(dialogues, config.replicas)
-    env, policy, *_ = load_run(cell.folder, dialogues=places, device=config.device)
-    plays, wins = torch.zeros(2, config.replicas, goals, dtype=torch.int64, device=config.device)
-    seed = derive_seed(config.seed, "pass^k")
-    for batch in evaluation_rollouts(
-        env, policy, dialogues, seed=seed, max_steps=config.env.steps()
-    ):
-        goal, success = batch["goal_id"][..., 0, 0], episode_stats(batch).success.long()
-        plays.scatter_add_(-1, goal, torch.ones_like(goal))
-        wins.scatter_add_(-1, goal, success)
-    return {"plays": plays.tolist(), "successes": wins.tolist()}
-
-
 def _write(given: Namespace, command: str, cells: Sequence[Cell], missing: list[str]) -> str:
     """Writes the page, its figures, bench.csv and bench.json. Returns the page."""
-    import json
-
     from bbq_torchrl.evaluation.bench import bench_report, rows_of
     from bbq_torchrl.evaluation.results import read_result, write_json
 
     rows, scripts, about = [], {}, []
     for cell in cells:
         entry: dict[str, Any] = {"cell": cell.name, "command": cell.command}
-        if _is_played(cell):
-            played = json.loads((cell.folder / _PLAYED).read_text(encoding="utf-8"))
-            rows += rows_of(
-                cell.agent,
-                cell.setting,
-                cell.folder,
-                given.budgets,
-                played["plays"],
-                played["successes"],
-            )
+        if cell.is_played:
+            name = cell.agent, cell.setting, cell.folder, given.budgets
+            rows += rows_of(*name, *cell.played())
             result = read_result(cell.folder)
             entry |= {"commit": result.commit, "clean": result.clean, "versions": result.versions}
             scripts[f"{cell.setting[0]}, errors {cell.setting[1]}"] = (

@@ -17,7 +17,7 @@ from tiny import TINY
 
 from bbq_torchrl.cli import bench
 from bbq_torchrl.cli.evaluate import composed, evaluation
-from bbq_torchrl.runs import loading
+from bbq_torchrl.runs import bench as cells
 from bbq_torchrl.utils.statistics import binomial_standard_error, pass_k
 
 OWN = "own: agent=dqn explore=boltzmann"
@@ -126,18 +126,26 @@ def test_a_page_alone_trains_nothing(tmp_path):
 
 def test_goals_are_played_as_often_as_an_evaluation_plays_them(monkeypatch, tmp_path):
     # A scripted policy takes the place of a trained one; another command measures its success.
-    given = bench._parser().parse_args([str(tmp_path), "--domains", "hotel", "--seeds", "2"])
-    cell = bench._cells(given, "dqn", ["agent=dqn"], bench._domains(given.domains))[1]
+    (cell,) = cells.cells_of(
+        "dqn",
+        ["agent=dqn"],
+        folder=tmp_path,
+        domains={"hotel": ["domain=hotel"]},
+        errors=["reference"],
+        budgets=[500],
+        seeds=2,
+        seed=1,
+    )
     env, domain = cell.config.env, cell.config.domain.make()
 
     def loaded(folder, *, dialogues, device):
         made = env.make(domain, (2, dialogues), device=device)
         return made, env.make_policy("careful", made)
 
-    monkeypatch.setattr(loading, "load_run", loaded)
-    played = {key: np.array(value) for key, value in bench._plays(cell).items()}
+    monkeypatch.setattr(cells, "load_run", loaded)
+    played = {key: np.array(value) for key, value in cells.goal_plays(cell).items()}
     assert played["plays"].shape == (2, len(domain.goals))
-    assert (played["plays"].sum(-1) == bench.PLAYS * len(domain.goals)).all()
+    assert (played["plays"].sum(-1) == cells.PLAYS * len(domain.goals)).all()
     known = evaluation(composed(["policy=careful", "domain=hotel"]))
     found = pass_k(played["successes"].sum(0), played["plays"].sum(0), 1)
     error = binomial_standard_error(known["success_rate"], int(played["plays"].sum()))
