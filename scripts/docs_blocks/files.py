@@ -8,7 +8,6 @@ import shutil
 import sys
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.runs.shipped import shipped_agents
 from scripts.docs_blocks.common import FIGURES, RESULTS, ROOT, block, table
 from scripts.talks.counts import SHARES, read, shares
 
@@ -16,6 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
 EXAMPLES = ROOT / "examples"
+_FEW = "five cards"  # the label of the measurement of all agents
 
 
 @block("deep_sea.results")
@@ -117,7 +117,8 @@ def _talks() -> str:
 @block("chat.talks_agents")
 def _talks_of_agents() -> str:
     """Returns the shares of conversations of each shipped agent."""
-    return _shares({name: ("five cards", f"shipped:{name}") for name in shipped_agents()})
+    agents = {row["agent"]: None for row in read(RESULTS / "talks.csv") if row["label"] == _FEW}
+    return _shares({agent.removeprefix("shipped:"): (_FEW, agent) for agent in agents})
 
 
 def copy_figures() -> None:
