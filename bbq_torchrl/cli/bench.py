@@ -84,7 +84,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for cell in cells
         if not cell.is_played
     ]
-    output.write(_write(given, shlex.join(["bbq", "bench", *arguments]), cells, missing))
+    trained = [item for item in arguments if item != "--page"]
+    output.write(_write(given, shlex.join(["bbq", "bench", *trained]), cells, missing))
     return 1 if missing else 0
 
 
