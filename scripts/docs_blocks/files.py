@@ -43,6 +43,14 @@ def _uncertainty() -> str:
     return text.split("\n## Does uncertainty predict failure?")[1].split("\n## ")[0]
 
 
+@block("bench.results")
+def _bench() -> str:
+    """Returns the benchmark's page without its heading, one heading level deeper."""
+    text = (RESULTS / "bench" / "bench.md").read_text(encoding="utf-8").split("\n", 2)[2]
+    text = re.sub(r"\]\((\w+)\.png\)", r"](figures/bench_\1.png)", text)
+    return text.replace("\n#", "\n##").replace("```bash", "```text").strip()
+
+
 @block("study.simulated")
 def _simulated() -> str:
     """Returns the report of the study with simulated users, two heading levels deeper."""
@@ -122,7 +130,9 @@ def _talks_of_agents() -> str:
 
 
 def copy_figures() -> None:
-    """Copies the figures of that report to docs/figures/."""
-    for name in ("success", "ratings"):
-        file = FIGURES / f"study_simulated_{name}.png"
-        shutil.copyfile(RESULTS / "study" / f"{name}.png", file)
+    """Copies the figures of the reports in results/ to docs/figures/."""
+    for report, names in (("study", ("success", "ratings")), ("bench", ("profiles", "booked"))):
+        prefix = "study_simulated" if report == "study" else report
+        for name in names:
+            file = FIGURES / f"{prefix}_{name}.png"
+            shutil.copyfile(RESULTS / report / f"{name}.png", file)
