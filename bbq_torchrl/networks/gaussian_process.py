@@ -208,7 +208,8 @@ class GaussianProcess(BayesLayer):
 
     Examples:
         >>> import torch
-        >>> from bbq_torchrl.networks import GaussianProcess, StateFeatures
+        >>> from bbq_torchrl.networks import GaussianProcess
+        >>> from bbq_torchrl.networks.gaussian_process import StateFeatures
         >>> network = GaussianProcess(StateFeatures(3, inducing=8), 2)
         >>> network(torch.ones(4, 3), "mean").shape, network(torch.ones(4, 3), "draw").shape
         (torch.Size([4, 2]), torch.Size([4, 2]))

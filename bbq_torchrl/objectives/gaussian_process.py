@@ -57,7 +57,8 @@ class GPLoss(OneStepQLoss):
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical
-        >>> from bbq_torchrl.networks import GaussianProcess, StateFeatures, q_actor
+        >>> from bbq_torchrl.networks import GaussianProcess, q_actor
+        >>> from bbq_torchrl.networks.gaussian_process import StateFeatures
         >>> from bbq_torchrl.objectives import GPLoss
         >>> network = GaussianProcess(StateFeatures(1, inducing=8), 2)
         >>> loss = GPLoss(q_actor(network, Categorical(2), action_mask_key=None), noise_std=0.1)

@@ -320,7 +320,7 @@ class GP(AgentOption):
     )
     prior_std: float | None = setting(
         None,
-        optional(POSITIVE, "1 for states, 0.1 for a trunk"),
+        optional(POSITIVE, "2 for states, 0.1 for a trunk"),
         "std of the prior of an action's weights",
     )
     noise_std: float | None = setting(
@@ -355,10 +355,10 @@ class GP(AgentOption):
 
     def make_actor(self, task: Task) -> QValueActor:
         """Gaussian processes on Nyström features, or on a trunk."""
-        from bbq_torchrl.networks import GaussianProcess, StateFeatures, TrunkFeatures, q_actor
+        from bbq_torchrl.networks import GaussianProcess, q_actor
+        from bbq_torchrl.networks.gaussian_process import StateFeatures, TrunkFeatures
 
         of_states = self.features == "states"
-        places: dict[str, Any] = {"replicas": task.replicas, "device": task.device}
         features: StateFeatures | TrunkFeatures
         if of_states:
             features = StateFeatures(
@@ -366,11 +366,14 @@ class GP(AgentOption):
                 self.inducing,
                 kernel=self.kernel,  # type: ignore[arg-type]
                 lengthscale=self.lengthscale,
-                **places,
+                replicas=task.replicas,
+                device=task.device,
             )
         else:
-            features = TrunkFeatures(task.inputs, self.hidden, **places)
-        prior_std = (1.0 if of_states else 0.1) if self.prior_std is None else self.prior_std
+            features = TrunkFeatures(
+                task.inputs, self.hidden, replicas=task.replicas, device=task.device
+            )
+        prior_std = (2.0 if of_states else 0.1) if self.prior_std is None else self.prior_std
         network = GaussianProcess(features, task.actions, prior_std=prior_std, device=task.device)
         task.reset_inactive_(network)
         return q_actor(network, task.action_spec, action_mask_key=task.action_mask_key)

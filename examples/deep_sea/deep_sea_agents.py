@@ -21,10 +21,10 @@ from bbq_torchrl.networks import (
     BootstrapMLP,
     FlatMLP,
     GaussianProcess,
-    StateFeatures,
     bootstrap_actor,
     q_actor,
 )
+from bbq_torchrl.networks.gaussian_process import StateFeatures
 from bbq_torchrl.objectives import (
     BBQNLoss,
     BootstrapDQNLoss,

@@ -58,7 +58,8 @@ def draw_growth() -> None:
     """Draws time and memory against every size, each as a multiple of its first figure."""
     cells = defaultdict(list)
     for what, *cell in (line.values() for line in read_csv("growth.csv")):
-        cells[what].append([float(value) for value in cell])
+        if not what.endswith("gp"):  # benchmarks/gp_figure.py draws these
+            cells[what].append([float(value) for value in cell])
     figure = Figure(figsize=(9, 4), layout="constrained")
     for ax, column, title in zip(figure.subplots(1, 2), (1, 2), ("time", "memory"), strict=True):
         for (what, lines), color in zip(cells.items(), COLORS, strict=True):

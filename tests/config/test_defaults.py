@@ -20,6 +20,9 @@ ON_PURPOSE = {
     ("Boltzmann", "annealing_num_steps"): "the key is a share of the rounds of a training",
     ("ReplicaAdam", "lr"): "the key follows protocol.lr",
     ("ThompsonSampling", "shared"): "None depends on per, and is false for the default of that",
+    ("GaussianProcess", "prior_std"): "null depends on the features",
+    ("GPLoss", "noise_std"): "null depends on the features",
+    ("GPLoss", "sweeps"): "null depends on the features",
     ("DynamicsLoss", "every"): "at every batch, VIME would more than double the time of DQN",
 }
 """(part, argument) -> why its default differs from the key's."""

@@ -11,7 +11,8 @@ from torchrl.data import Categorical
 
 from bbq_torchrl.bayes import weight_scope
 from bbq_torchrl.bayes.linear_regression import posterior_factors, posterior_means
-from bbq_torchrl.networks import GaussianProcess, StateFeatures, TrunkFeatures, q_actor
+from bbq_torchrl.networks import GaussianProcess, q_actor
+from bbq_torchrl.networks.gaussian_process import StateFeatures, TrunkFeatures
 from bbq_torchrl.objectives import GPLoss
 
 FEATURES, ACTIONS, ROWS = 5, 3, 40

@@ -9,7 +9,8 @@ from tensordict import TensorDict
 from torchrl.data import Categorical
 from torchrl.objectives import HardUpdate
 
-from bbq_torchrl.networks import FlatMLP, GaussianProcess, StateFeatures, TrunkFeatures, q_actor
+from bbq_torchrl.networks import FlatMLP, GaussianProcess, q_actor
+from bbq_torchrl.networks.gaussian_process import StateFeatures, TrunkFeatures
 from bbq_torchrl.objectives import GPLoss
 
 SPEC = Categorical(ACTIONS)
