@@ -133,8 +133,8 @@ def _limits() -> str:
     cells = {}
     for row in read_csv("limits_aims.csv"):
         for column, file in (("before", "limits_before.json"), ("now", "limits.json")):
-            value = read_json(file)[row["set"]][row["key"]]
-            cells[row["what"], column] = f"{value:.3g}"
+            value = read_json(file).get(row["set"], {}).get(row["key"])
+            cells[row["what"], column] = "–" if value is None else f"{value:.3g}"
         cells[row["what"], "aim"] = row["aim"] or "–"
     return pivot("", cells)
 
