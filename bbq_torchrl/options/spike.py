@@ -111,12 +111,13 @@ class SpikeOption(Option):
         """
         if not self.margin:
             return
-        if not hasattr(loss, "imitate"):
+        imitate = getattr(loss, "imitate", None)
+        if not callable(imitate):
             raise ConfigError(
                 f"spike.margin must be 0 with a loss of type {type(loss).__name__}, which has no "
                 f"method imitate, got {self.margin:g}"
             )
-        loss.imitate(self.margin, self.margin_factor)
+        imitate(self.margin, self.margin_factor)
 
 
 @register
