@@ -74,6 +74,12 @@ def test_every_agent_trains_replicas_side_by_side(name):
         assert result.episodes_to_solve is None or 1 <= result.episodes_to_solve <= 8
 
 
+def test_a_gaussian_process_with_drawn_targets_dives_deep():
+    """Random dives find the treasure of N = 6 once in 64 times, so not in a tenth of 100."""
+    for line in train("gp_draw", 6, replicas=3, episodes=100, seed=40):
+        assert line.episodes_to_solve is not None
+
+
 def test_unknown_agent_is_refused():
     with pytest.raises(ValueError, match=r"agent must be one of \['epsilon_greedy', .*got 'dqn'"):
         make_agent("dqn", 3, 1, SMALL)
