@@ -154,11 +154,13 @@ def _missed(
 ) -> list[Span]:
     """Returns the full names that the tagger passed over, but should not.
 
-    They are denied, or of a slot of which it found nothing. A polite word is a name only where it
-    is denied and the slot asked for.
+    They are denied, or of a slot of which it found nothing that is wanted. A polite word is a name
+    only where it is denied and the slot asked for.
     """
     found: list[Span] = []
     tags = list(reading.tags)
+    spans = spans_of(tags)
+    named = {slot for slot, start, end in spans if not _is_denied(words, start, end)}
     for size in range(min(LONGEST, len(words)), 0, -1):
         for start in range(len(words) - size + 1):
             end = start + size
@@ -171,7 +173,7 @@ def _missed(
             is_polite = name in POLITE
             is_denied = (slot == asked or not is_polite) and _is_denied(words, start, end)
             is_doubtful = max(reading.each_chance[start:end]) < _MAYBE and not is_polite
-            if slot is not None and (is_denied or (is_doubtful and slot not in reading.tags)):
+            if slot is not None and (is_denied or (is_doubtful and slot not in named)):
                 found.append(Span(slot, start, end))
                 tags[start:end] = [slot] * size
     return found
