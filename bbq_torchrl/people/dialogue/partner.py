@@ -192,7 +192,8 @@ class Partner:
         if is_bye and "farewell" in self.control.rules and not is_farewell(text):
             understood = replace(understood, frame=Frame("not_sure"), confidence=0.0)
         missed = {}
-        if "names" in self.control.rules and not (understood.unclear or is_bye):
+        is_named = not (understood.unclear or is_bye or is_contrary(text))
+        if "names" in self.control.rules and is_named:
             missed = self._spelling.of(self._spelling.missed(text, understood.frame))
             missed = {k: v for k, v in missed.items() if k not in self._spelling.absent(missed)}
             frame = understood.frame
