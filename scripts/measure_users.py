@@ -1,6 +1,6 @@
 """Measures agents on users they have and have not learned from: ``results/users.csv``.
 
-    for agent in bbqn dqn; do for users in people paper; do
+    for agent in bbqn dqn bootstrap; do for users in people paper; do
     python train.py agent=$agent protocol=quick env.users=$users replicas=2 seed=910 \
         hydra.run.dir=runs/users/${agent}_$users; done; done
     python scripts/measure_users.py shipped:bbqn_map shipped:dqn runs/users/* [--dialogues 2000]

@@ -48,6 +48,8 @@ EXPERIMENTS = {
 COMPARED = yaml.safe_load(Path(__file__).with_name("compared.yaml").read_text(encoding="utf-8"))
 """Compared runs and the claims about them."""
 
+_SPIKED = (500, 1_000, 2_000)
+
 VERBS = {
     "early": f"books more in the first {pairs.EARLY:,} dialogues than",
     "final": "ends higher than",
@@ -189,6 +191,25 @@ def _expect() -> str:
         f"{len(group.final)} fresh seeds end by booking between {low} and {high} of the dialogues "
         f"(mean {mean}; [each seed, and why learning starts late](docs/learning_starts.md))."
     )
+
+
+@block("learning.spikes")
+def _spikes() -> str:
+    """Returns the table of what the buffer is spiked with."""
+    head = ("spiked with", "agent", "env", "rounds", "seeds")
+    shown = []
+    for group in groups("quick_soft/soft", "spikes"):
+        setting = group.setting
+        spike = setting["spike.policy"] or {"rule": "rule"}.get(setting["spike.name"], "repair")
+        if setting.get("spike.margin"):
+            spike += ", imitated"
+        about = (spike, group.label.partition(",")[0], setting["env.name"])
+        booked = [str(estimate(group.booked(first))) for first in _SPIKED]
+        rounds, seeds = setting["protocol.rounds"], len(group.final)
+        shown.append((*about, str(rounds), str(seeds), *booked, str(estimate(group.final))))
+    order = {"rule": 0, "repair": 1, "repair, imitated": 2}
+    shown.sort(key=lambda row: (int(row[3]), row[2] != "full", order[row[0]], row[1]))
+    return table((*head, *(f"booked after {n:,}" for n in _SPIKED), "final"), shown)
 
 
 @block("results.scripts")

@@ -46,6 +46,19 @@ def _plateau() -> str:
     return pivot("start, after updates", cells)
 
 
+@block("learning.imitation")
+def _imitation() -> str:
+    """Returns the table of a network that imitates the best script without its memory."""
+    found: dict[str, list[float]] = defaultdict(list)
+    for row in read_csv("imitation.csv"):
+        found[f"{int(row['dialogues']):,}"].append(float(row["success"]))
+    rows = [
+        (n, f"{fmean(rates):.3f}", ", ".join(f"{r:.3f}" for r in rates))
+        for n, rates in found.items()
+    ]
+    return table(("dialogues imitated", "success", "seeds"), rows)
+
+
 @block("parts.cartpole")
 def _cartpole() -> str:
     """Returns the return of each seed in the loop of docs/parts.md, a line for each agent."""
