@@ -201,14 +201,14 @@ def _spikes() -> str:
     for group in groups("quick_soft/soft", "spikes"):
         setting = group.setting
         spike = setting["spike.policy"] or {"rule": "rule"}.get(setting["spike.name"], "repair")
+        spike = f"{setting['spike.dialogues']} of {code(spike)}"
         if setting.get("spike.margin"):
             spike += ", imitated"
         about = (spike, group.label.partition(",")[0], setting["env.name"])
         booked = [str(estimate(group.booked(first))) for first in _SPIKED]
         rounds, seeds = setting["protocol.rounds"], len(group.final)
         shown.append((*about, str(rounds), str(seeds), *booked, str(estimate(group.final))))
-    order = {"rule": 0, "repair": 1, "repair, imitated": 2}
-    shown.sort(key=lambda row: (int(row[3]), row[2] != "full", order[row[0]], row[1]))
+    shown.sort(key=lambda row: (int(row[3]), row[2] != "full", float(row[-1].partition(" ")[0])))
     return table((*head, *(f"booked after {n:,}" for n in _SPIKED), "final"), shown)
 
 
