@@ -12,7 +12,6 @@ RULE_NAMES = (
     "confirm",
     "book",
     "names",
-    "contrary",
     "farewell",
     "check",
     "aside",

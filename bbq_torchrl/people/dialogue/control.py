@@ -215,11 +215,7 @@ RULES = dict(
                 '("Dune, Tuesday, is that right?").'
             ),
             Rule('"Book it" makes the agent offer, and after an offer it is a yes.'),
-            Rule(
-                "A name that the understanding dropped is checked, and one that no record has is "
-                "asked about."
-            ),
-            Rule('A value said with words such as "not" or "or later" is checked.'),
+            Rule("A name that no record has is asked about."),
             Rule("Only words of farewell let a person end the conversation."),
             Rule('A known value is checked ("5:50 pm, is that right?"), not asked for.'),
             Rule("A question in place of an answer is read by itself."),

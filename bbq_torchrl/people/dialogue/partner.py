@@ -16,8 +16,8 @@ from bbq_torchrl.people.dialogue.control import Control
 from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.dialogue.tracker import Tracking
 from bbq_torchrl.people.language import Frame, TextError, Unclear, Understood
-from bbq_torchrl.people.language.asking import MOST_ASKS, Asking
-from bbq_torchrl.people.language.words import is_contrary, is_farewell, is_no, is_yes
+from bbq_torchrl.people.language.asking import Asking
+from bbq_torchrl.people.language.words import has_yes, is_farewell, is_no, is_yes
 from bbq_torchrl.simulator import Simulator
 
 if TYPE_CHECKING:
@@ -191,16 +191,7 @@ class Partner:
         is_bye = understood.frame.act == "closing"
         if is_bye and "farewell" in self.control.rules and not is_farewell(text):
             understood = replace(understood, frame=Frame("not_sure"), confidence=0.0)
-        missed = {}
-        is_named = not (understood.unclear or is_bye or is_contrary(text))
-        if "names" in self.control.rules and is_named:
-            missed = self._spelling.of(self._spelling.missed(text, understood.frame))
-            missed = {k: v for k, v in missed.items() if k not in self._spelling.absent(missed)}
-            frame = understood.frame
-            informs = {**frame.informs, **missed}
-            act = "inform" if missed and not frame.requests else frame.act
-            understood = replace(understood, frame=replace(frame, act=act, informs=informs))
-        if self._doubts(asking, understood, text, has_missed=bool(missed)):
+        if asking.asks(self._nlu, understood, self._ask_below):
             values = _values(asking.joined(understood.frame))
             if understood.unclear or not values or "confirm" not in self.control.rules:
                 return self._ask_again(now, understood, self._nlg.clarify(understood, **words))
@@ -234,23 +225,14 @@ class Partner:
         sentence, rules = " ".join(sentences), acted.control
         return Answer(sentence, understood, acted.heard, said, now, True, ended, rules)
 
-    def _doubts(
-        self, asking: Asking, understood: Understood, text: str, *, has_missed: bool
-    ) -> bool:
-        """Returns whether a sentence is asked about rather than acted on."""
-        if asking.asks(self._nlu, understood, self._ask_below):
-            return True
-        may_ask = asking.times < MOST_ASKS and self._ask_below != 0 and not asking.is_check
-        is_turned = "contrary" in self.control.rules and is_contrary(text)
-        is_doubtful = has_missed or (is_turned and bool(_values(understood.frame)))
-        return may_ask and is_doubtful
-
     def _answer_to_check(self, before: Memory, text: str, frame: Frame) -> dict[str, Any] | None:
         """Returns the meaning of a text after "..., is that right?"; ``None`` for a plain no."""
-        is_bare = not (frame.informs or frame.requests)
+        is_bare = not frame.informs and {*frame.requests} <= {self.domain.ticket_slot}
         if is_no(text) or (is_bare and frame.act == "deny"):
             return None
-        says_yes = is_yes(text) or (is_bare and frame.act in ("confirm_answer", "thanks"))
+        says_yes = is_yes(text) or (
+            is_bare and (frame.act in ("confirm_answer", "thanks") or has_yes(text))
+        )
         if not says_yes:
             return {}
         if before.checked:

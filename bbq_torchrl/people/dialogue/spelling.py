@@ -7,18 +7,15 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.values import RESERVED_TEXT, fold
 from bbq_torchrl.people.language.lexicon import Lexicon
-from bbq_torchrl.people.language.words import POLITE, tokenize
+from bbq_torchrl.people.language.words import tokenize
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
 
     from bbq_torchrl.domains import Domain
-    from bbq_torchrl.domains.frames import Frame
 
 
 _RESERVED = frozenset(fold(text) for text in RESERVED_TEXT.values())
-_LETTERS = 5
-"""A single word of fewer letters may be no name."""
 
 
 class Spelling:
@@ -83,29 +80,3 @@ class Spelling:
         return tuple(
             slot for slot in slots if words & (nouns[slot] - (set() if slot in asked else spoken))
         )
-
-    def missed(self, text: str, frame: Frame) -> dict[str, str]:
-        """Returns slot to value of the exact names in a text that its frame leaves out.
-
-        Args:
-            text: what a person typed.
-            frame: what was understood of it.
-        """
-        words = tokenize(text)
-        taken = {word for value in frame.informs.values() for word in tokenize(value)}
-        found: dict[str, tuple[str, ...]] = {}
-        for slot, names in self._lexicon.names.items():
-            if slot in frame.informs or slot in frame.requests:
-                continue
-            for name in names:
-                places = range(len(words) - len(name) + 1)
-                is_said = any(tuple(words[at : at + len(name)]) == name for at in places)
-                is_name = len(name) > 1 or (len(name[0]) >= _LETTERS and name[0] not in POLITE)
-                if is_said and is_name and taken.isdisjoint(name):
-                    found[slot] = max(found.get(slot, ()), name, key=len)
-        values = {}
-        for slot, name in found.items():
-            link = self._lexicon.link(slot, " ".join(name))
-            if len(link.values) == 1 and self._lexicon.only_slot(" ".join(name)) == slot:
-                values[slot] = link.values[0]
-        return values

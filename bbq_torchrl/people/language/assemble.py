@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT, Frame
 from bbq_torchrl.people.language.asking import OPENING, Unclear, asked_slot
-from bbq_torchrl.people.language.mentions import LONGEST, SHORT, values_of
+from bbq_torchrl.people.language.mentions import LONGEST, SHORT, counted, values_of
 from bbq_torchrl.people.language.tagger import OUTSIDE
-from bbq_torchrl.people.language.words import COUNT_WORDS, NUMBER_WORDS, POLITE, compact
+from bbq_torchrl.people.language.words import COUNT_WORDS, NUMBER_WORDS, POLITE, compact, word_set
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -33,6 +34,7 @@ _NAME = 5  # words of an answer that names no known value
 _ABOUT_VALUES = ("inform", "request", "confirm_question")
 _NOT = frozenset(("not", "no", "except"))
 _ANY = frozenset(("any", "anything", "whatever", "either"))
+_IS, _FINE = word_set("any_is"), word_set("any_is_fine")
 _YES = frozenset("yes yeah yep yup right correct sure exactly ok okay indeed true y".split())
 
 
@@ -95,9 +97,12 @@ def assemble(
     offered = chosen(words, question, lexicon)
     if asked is not None and offered is not None:
         return Frame("inform", {asked: offered}), ()
+    if (free := _any_of(words, lexicon)) is not None:
+        return Frame("inform", {free: ANY}), ()
     act = lexicon.domain.acts[int(reading.acts.argmax())]
+    reading = replace(reading, tags=counted(words, reading.tags, question, lexicon))
     informs, unclear = values_of(words, reading, question, lexicon)
-    if reading.foreign > _FOREIGN:
+    if reading.foreign > _FOREIGN and (unclear or OUTSIDE in reading.tags):
         return Frame("not_sure" if "not_sure" in lexicon.domain.acts else "inform"), unclear
     is_more = act == "request" and "?" in words  # "comedies?" is more than a name
     is_more |= any(one.is_denied for one in unclear)
@@ -209,6 +214,18 @@ def _short_answer(
         return None
     values = lexicon.link(other, text).values  # "-3" has the name of 3, and is none
     return {other: values[0]} if values else None
+
+
+def _any_of(words: Sequence[str], lexicon: Lexicon) -> str | None:
+    """Returns the slot of "any theater chain is fine"."""
+    for slot in lexicon.slots if words[0] in _ANY else ():
+        phrases = lexicon.phrases.slots[slot]
+        for name in (phrases.name, *phrases.nouns):
+            said, (verb, *rest) = name.split(), words[1 + len(name.split()) :] or [""]
+            is_fine = verb in _IS and bool(rest or verb == "works") and _FINE.issuperset(rest)
+            if words[1 : 1 + len(said)] == said and is_fine:
+                return slot
+    return None
 
 
 def _named(words: Sequence[str], slot: str | None, lexicon: Lexicon) -> dict[str, str]:

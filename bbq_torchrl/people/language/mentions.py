@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import re
+from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
-from bbq_torchrl.people.language.asking import Unclear, asked_slot
+from bbq_torchrl.people.language.asking import OPENING, Unclear, asked_slot
 from bbq_torchrl.people.language.quantities import DAY_WORDS, MONTH_WORDS, ORDINAL_WORDS, PART_WORDS
 from bbq_torchrl.people.language.tagger import OUTSIDE, Span, spans_of
 from bbq_torchrl.people.language.words import (
@@ -41,7 +42,9 @@ _DENIED_BEFORE, _DENIED_AFTER = (
 )
 _RANGES = ENGLISH["ranges"]
 _RANGE = re.compile(rf"(.+?) ({'|'.join(_RANGES)})\b")
+_NOT_BEFORE = [tuple(text.split()) for text in ENGLISH["relations"] if text.startswith("no")]
 _NO = re.compile(ENGLISH["denied_by_no"])
+_SMALL = word_set("small")
 _CLAUSE = re.compile(r"[^\w' ]")
 _QUANTITY_WORDS = DAY_WORDS | MONTH_WORDS | NUMBER_WORDS | ORDINAL_WORDS | PART_WORDS
 _LIKELY = 0.85
@@ -78,6 +81,8 @@ def values_of(
         key=lambda span: span.start,
     ):
         while start + 1 < end and (words[start] in _NOT or not compact(words[start])):
+            if lexicon.link(slot, " ".join(words[start:end])).is_exact:
+                break  # "not too far"
             start += 1
         text = " ".join(words[start:end])
         if lexicon.kinds[slot] == "count":
@@ -88,6 +93,9 @@ def values_of(
             ranged = _RANGE.match(" ".join(words[start : end + 3]))
         if ranged is not None and len(ranged[0].split()) >= end - start:
             text = f"{_RANGES[ranged[2]]} {ranged[1]}"
+        elif lexicon.kinds[slot] == "time" and (at := _not_before(words, start)) is not None:
+            start, text = at, " ".join(words[at:end])
+            ranged = True
         link = lexicon.link(slot, text)
         if not link.values and (other := lexicon.only_slot(text)) is not None:
             slot, link = other, lexicon.link(other, text)
@@ -155,7 +163,7 @@ def _missed(
     """Returns the full names that the tagger passed over, but should not.
 
     They are denied, or of a slot of which it found nothing that is wanted. A polite word is a name
-    only where it is denied and the slot asked for.
+    only where it is denied and the slot asked for, or behind a noun of it ("critics call it good").
     """
     found: list[Span] = []
     tags = list(reading.tags)
@@ -167,13 +175,21 @@ def _missed(
             name = " ".join(words[start:end])
             is_short = len(name) < _LETTERS and name.isalpha()
             has_edges = compact(words[start]) and compact(words[end - 1])
-            if set(tags[start:end]) != {OUTSIDE} or is_short or not has_edges:
+            if set(tags[start:end]) != {OUTSIDE} or not has_edges:
                 continue
             slot = lexicon.only_slot(name)
+            if slot is None:
+                continue
             is_polite = name in POLITE
-            is_denied = (slot == asked or not is_polite) and _is_denied(words, start, end)
-            is_doubtful = max(reading.each_chance[start:end]) < _MAYBE and not is_polite
-            if slot is not None and (is_denied or (is_doubtful and slot not in named)):
+            before = set(_CLAUSE.split(" ".join(words[:start]))[-1].split())
+            is_about = is_polite and not before.isdisjoint(lexicon.phrases.slots[slot].nouns)
+            is_denied = (
+                not is_short and (slot == asked or not is_polite) and _is_denied(words, start, end)
+            )
+            ends = not _CLAUSE.split(" ".join(words[end:]))[0].strip()
+            least = _MAYBE if not is_short else _LIKELY if ends else 0.0  # "md", but no "if"
+            is_doubtful = max(reading.each_chance[start:end]) < least and not is_polite
+            if is_denied or ((is_doubtful or is_about) and slot not in named):
                 found.append(Span(slot, start, end))
                 tags[start:end] = [slot] * size
     return found
@@ -192,6 +208,39 @@ def _is_denied(words: Sequence[str], start: int, end: int, *, is_first: bool = T
         or any(pattern.search(before) for pattern in _DENIED_BEFORE)
         or any(pattern.search(after) for pattern in _DENIED_AFTER)
     )
+
+
+def counted(
+    words: Sequence[str], tags: Sequence[str], question: Frame, lexicon: Lexicon
+) -> list[str]:
+    """Returns the tags with those of counts: before a noun ("2 tickets"), or first ("2 dune")."""
+    found = list(tags)
+    counts = [slot for slot in lexicon.slots if lexicon.kinds[slot] == "count"]
+    for slot in counts:
+        nouns = set(lexicon.phrases.slots[slot].nouns) - _SMALL
+        for at, (word, noun) in enumerate(pairwise(words)):
+            is_open = found[at] == OUTSIDE and noun in nouns and slot not in found
+            if is_open and lexicon.link(slot, word).is_exact:
+                found[at] = slot
+    slot, (first, *_) = lexicon.counted, spans_of(found) or [Span("", 1, 1)]
+    own = " ".join(words[: first.end])
+    if first.slot in counts:
+        is_named = not set(words[1:2]).isdisjoint(lexicon.phrases.slots[first.slot].nouns)
+    else:
+        is_named = first.start == 0 and lexicon.link(first.slot, own).is_exact
+    is_open = question == OPENING and found[1:2] != [OUTSIDE] and slot not in found
+    if slot is not None and is_open and not is_named and lexicon.link(slot, words[0]).is_exact:
+        found[0] = slot
+    return found
+
+
+def _not_before(words: Sequence[str], start: int) -> int | None:
+    """Returns where "not before", or the like, begins that ends before a time or in it."""
+    for phrase in _NOT_BEFORE:
+        for at in range(max(start - len(phrase), 0), start):
+            if tuple(words[at : at + len(phrase)]) == phrase:
+                return at
+    return None
 
 
 def _company(

@@ -107,10 +107,9 @@ def compact(text: str) -> str:
 
 
 _YES, _NO, _BESIDE = (word_set(name) for name in ("yes_words", "no_words", "beside_yes_and_no"))
+_PLAIN_YES = word_set("plain_yes")
 POLITE = _YES | _NO | _BESIDE | word_set("polite")
 """Words of agreement and thanks, which name no value by themselves."""
-
-_ANY_BUT = re.compile(r"\b(any|every)\w*( \w+)? but\b")
 
 
 def is_yes(text: str) -> bool:
@@ -122,6 +121,17 @@ def is_yes(text: str) -> bool:
     """
     words = set(tokenize(text))
     return bool(words & _YES) and words <= _YES | _BESIDE
+
+
+def has_yes(text: str) -> bool:
+    """Returns whether a text says yes among other words, and not no.
+
+    Examples:
+        >>> [has_yes(text) for text in ("wonderful, yes please", "yes, not at 7", "I am sure")]
+        [True, False, False]
+    """
+    words = set(tokenize(text))
+    return not words.isdisjoint(_PLAIN_YES) and words.isdisjoint(_NO)
 
 
 def is_no(text: str) -> bool:
@@ -143,16 +153,6 @@ def is_farewell(text: str) -> bool:
         [True, False]
     """
     return _has_phrase(text, "farewell")
-
-
-def is_contrary(text: str) -> bool:
-    """Returns whether a text has words that turn a value round, or make a range of it.
-
-    Examples:
-        >>> [is_contrary(text) for text in ("not on monday", "any day but friday", "on monday")]
-        [True, True, False]
-    """
-    return _has_phrase(text, "contrary") or _ANY_BUT.search(normalize(text)) is not None
 
 
 def _has_phrase(text: str, entry: str) -> bool:

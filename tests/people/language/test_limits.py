@@ -10,6 +10,7 @@ import pytest
 import torch
 
 from bbq_torchrl.domains import movie_domain
+from bbq_torchrl.domains.frames import ANY
 from bbq_torchrl.people.language import Frame, Generator, Unclear, Understood
 from bbq_torchrl.people.language.asking import FOREIGN, OPENING
 from bbq_torchrl.people.language.assemble import assemble
@@ -91,6 +92,9 @@ def test_denying_what_the_agent_has_said_is_a_no(lexicon):
         ("6 pm or later", "after 6pm", None),
         ("6 pm", "6pm", None),
         ("6:31 pm or later", None, "after 6:31 pm"),
+        ("not before 6 pm", "after 6pm", None),
+        ("no earlier than 6 pm please", "after 6pm", None),
+        ("not before 6:31 pm", None, "not before 6:31 pm"),
     ],
 )
 def test_a_range_is_what_was_meant_or_is_asked_about(lexicon, text, meant, unknown):
@@ -100,6 +104,58 @@ def test_a_range_is_what_was_meant_or_is_asked_about(lexicon, text, meant, unkno
     key = lexicon.key
     assert (got and key("starttime", got)) == (meant and key("starttime", meant))
     assert [one.text for one in unclear] == ([unknown] if unknown else [])
+
+
+@pytest.mark.parametrize(
+    "text", ["not too far", "oh and not too far if you can", "no , not too far"]
+)
+def test_a_value_that_begins_with_not_is_no_denial(lexicon, text):
+    tagged = dict.fromkeys(("not", "too", "far"), "distanceconstraints")
+    frame, unclear = read(text, tagged, lexicon, Frame("request", {}, ("date",)))
+    assert (frame.informs, unclear) == ({"distanceconstraints": "not too far"}, ())
+
+
+@pytest.mark.parametrize("text", ["critics must say great", "one that the critics call great"])
+def test_a_polite_word_behind_a_noun_of_its_slot_is_a_value(lexicon, text):
+    said = Frame("inform", {"taskcomplete": "ticket available"})
+    assert read(text, {}, lexicon, said, act="thanks")[0].informs == {"critic_rating": "great"}
+    assert read("great", {}, lexicon, said, act="thanks")[0] == Frame("thanks")
+
+
+@pytest.mark.parametrize("count", ["2", "two", "7"])
+@pytest.mark.parametrize(
+    ("text", "tagged", "informs"),
+    [
+        ("{}", {}, {}),
+        ("{} oppenheimer", {"oppenheimer": "moviename"}, {"moviename": "oppenheimer"}),
+        ("i need {} tickets for wonka", {"wonka": "moviename"}, {"moviename": "wonka"}),
+    ],
+)
+def test_a_plain_count_is_one_of_people_and_not_foreign(lexicon, count, text, tagged, informs):
+    foreign = 0.0 if "need" in text else 0.9
+    frame, unclear = read(text.format(count), tagged, lexicon, foreign=foreign)
+    people = frame.informs.pop("numberofpeople")
+    assert lexicon.key("numberofpeople", people) == lexicon.key("numberofpeople", count)
+    assert (frame.informs, unclear) == (informs, ())
+
+
+@pytest.mark.parametrize("text", ["7 pm", "4th of july", "2 kids"])
+def test_a_number_that_is_another_value_is_no_count_of_people(lexicon, text):
+    slot = {"pm": "starttime", "july": "date", "kids": "numberofkids"}[text.split()[-1]]
+    tagged = dict.fromkeys(tokenize(text), slot)
+    assert set(read(text, tagged, lexicon)[0].informs) <= {slot}
+
+
+@pytest.mark.parametrize(
+    ("text", "slot"),
+    [("any movie would be fine", "moviename"), ("any theater chain is ok", "theater_chain")],
+)
+def test_any_of_a_slot_is_fine_whatever_was_asked(lexicon, text, slot):
+    for asked in ("date", "city"):
+        frame, _ = read(text, {}, lexicon, Frame("request", {}, (asked,)), act="thanks")
+        assert frame == Frame("inform", {slot: ANY})
+    assert ANY not in read("any movie", {}, lexicon)[0].informs.values()
+    assert ANY not in read("any tickets for us", {}, lexicon)[0].informs.values()
 
 
 def test_an_unknown_name_is_reported_with_its_slot_and_words(lexicon):
