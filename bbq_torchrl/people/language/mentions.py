@@ -42,7 +42,11 @@ _DENIED_BEFORE, _DENIED_AFTER = (
 )
 _RANGES = ENGLISH["ranges"]
 _RANGE = re.compile(rf"(.+?) ({'|'.join(_RANGES)})\b")
-_NOT_BEFORE = [tuple(text.split()) for text in ENGLISH["relations"] if text.startswith("no")]
+_BOUNDS = [
+    tuple(text.split())
+    for text in ENGLISH["relations"]
+    if text.startswith(("no", "after", "before"))
+]
 _NO = re.compile(ENGLISH["denied_by_no"])
 _SMALL = word_set("small")
 _CLAUSE = re.compile(r"[^\w' ]")
@@ -50,6 +54,7 @@ _QUANTITY_WORDS = DAY_WORDS | MONTH_WORDS | NUMBER_WORDS | ORDINAL_WORDS | PART_
 _LIKELY = 0.85
 _LEAST = 0.4
 _MAYBE = 0.95  # how likely a known name must be none to be passed over
+_FAINT = 0.3
 _LETTERS = 4
 
 
@@ -91,16 +96,16 @@ def values_of(
         ranged = None
         if lexicon.kinds[slot] != "text":
             ranged = _RANGE.match(" ".join(words[start : end + 3]))
+        is_range = ranged is not None
         if ranged is not None and len(ranged[0].split()) >= end - start:
             text = f"{_RANGES[ranged[2]]} {ranged[1]}"
-        elif lexicon.kinds[slot] == "time" and (at := _not_before(words, start)) is not None:
-            start, text = at, " ".join(words[at:end])
-            ranged = True
+        elif lexicon.kinds[slot] == "time" and (at := _bound(words, start)) is not None:
+            start, text, is_range = at, " ".join(words[at:end]), True
         link = lexicon.link(slot, text)
         if not link.values and (other := lexicon.only_slot(text)) is not None:
             slot, link = other, lexicon.link(other, text)
         parts = (
-            [(text, link)] if link.values or ranged else _within(slot, words[start:end], lexicon)
+            [(text, link)] if link.values or is_range else _within(slot, words[start:end], lexicon)
         )
         if not link.values and lexicon.kinds[slot] != "text" and not _is_quantity(words[start:end]):
             continue  # No number, day or clock in it: a word that only stood where one could.
@@ -169,6 +174,9 @@ def _missed(
     tags = list(reading.tags)
     spans = spans_of(tags)
     named = {slot for slot, start, end in spans if not _is_denied(words, start, end)}
+    is_inform = lexicon.domain.acts[int(reading.acts.argmax())] == "inform"
+    is_empty = is_inform and not spans and reading.dont_care.max() < _FAINT
+    maybe = 1.1 if is_empty else _MAYBE  # who informs has named something
     for size in range(min(LONGEST, len(words)), 0, -1):
         for start in range(len(words) - size + 1):
             end = start + size
@@ -187,7 +195,7 @@ def _missed(
                 not is_short and (slot == asked or not is_polite) and _is_denied(words, start, end)
             )
             ends = not _CLAUSE.split(" ".join(words[end:]))[0].strip()
-            least = _MAYBE if not is_short else _LIKELY if ends else 0.0  # "md", but no "if"
+            least = maybe if not is_short else _LIKELY if ends else 0.0  # "md", but no "if"
             is_doubtful = max(reading.each_chance[start:end]) < least and not is_polite
             if is_denied or ((is_doubtful or is_about) and slot not in named):
                 found.append(Span(slot, start, end))
@@ -222,22 +230,22 @@ def counted(
             is_open = found[at] == OUTSIDE and noun in nouns and slot not in found
             if is_open and lexicon.link(slot, word).is_exact:
                 found[at] = slot
-    slot, (first, *_) = lexicon.counted, spans_of(found) or [Span("", 1, 1)]
+    main, (first, *_) = lexicon.counted, spans_of(found) or [Span("", 1, 1)]
     own = " ".join(words[: first.end])
     if first.slot in counts:
         is_named = not set(words[1:2]).isdisjoint(lexicon.phrases.slots[first.slot].nouns)
     else:
         is_named = first.start == 0 and lexicon.link(first.slot, own).is_exact
-    is_open = question == OPENING and found[1:2] != [OUTSIDE] and slot not in found
-    if slot is not None and is_open and not is_named and lexicon.link(slot, words[0]).is_exact:
-        found[0] = slot
+    is_open = question == OPENING and found[1:2] != [OUTSIDE] and main not in found
+    if main is not None and is_open and not is_named and lexicon.link(main, words[0]).is_exact:
+        found[0] = main
     return found
 
 
-def _not_before(words: Sequence[str], start: int) -> int | None:
-    """Returns where "not before", or the like, begins that ends before a time or in it."""
-    for phrase in _NOT_BEFORE:
-        for at in range(max(start - len(phrase), 0), start):
+def _bound(words: Sequence[str], start: int) -> int | None:
+    """Returns where "not before", "after" or the like stands at a time or begins it."""
+    for phrase in _BOUNDS:
+        for at in range(max(start - len(phrase), 0), start + 1):
             if tuple(words[at : at + len(phrase)]) == phrase:
                 return at
     return None

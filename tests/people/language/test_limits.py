@@ -95,6 +95,7 @@ def test_denying_what_the_agent_has_said_is_a_no(lexicon):
         ("not before 6 pm", "after 6pm", None),
         ("no earlier than 6 pm please", "after 6pm", None),
         ("not before 6:31 pm", None, "not before 6:31 pm"),
+        ("some time after 6:31 pm", None, "after 6:31 pm"),
     ],
 )
 def test_a_range_is_what_was_meant_or_is_asked_about(lexicon, text, meant, unknown):
@@ -113,6 +114,14 @@ def test_a_value_that_begins_with_not_is_no_denial(lexicon, text):
     tagged = dict.fromkeys(("not", "too", "far"), "distanceconstraints")
     frame, unclear = read(text, tagged, lexicon, Frame("request", {}, ("date",)))
     assert (frame.informs, unclear) == ({"distanceconstraints": "not too far"}, ())
+
+
+def test_who_informs_of_nothing_has_named_what_the_tagger_passed_over(lexicon):
+    said = Frame("inform", {"city": "no match"})
+    text = "i'm thinking saturday because of work"
+    assert read(text, {}, lexicon, said)[0].informs == {"date": "saturday"}
+    assert read(text, {"work": "city"}, lexicon, said)[0].informs == {}
+    assert read(text, {}, lexicon, said, act="thanks")[0].informs == {}
 
 
 @pytest.mark.parametrize("text", ["critics must say great", "one that the critics call great"])
