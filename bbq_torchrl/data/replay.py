@@ -281,8 +281,9 @@ class ReplicaReplay:
             self.buffers, self.stored_keys, indices, valid, self._computed
         )
         if any(protected := self.protected):
-            first = torch.tensor(protected, device=self._device).unsqueeze(-1)
-            rows["protected"] = (indices < first) & valid
+            # compared with numbers, as a tensor of them would make the host wait for the device
+            marks = [row < first for row, first in zip(indices, protected, strict=True)]
+            rows["protected"] = torch.stack(marks) & valid
         if self.transform is not None:
             rows = self.transform(rows)
         return rows.unflatten(1, (rows.shape[1] // batch_size, batch_size)).unbind(1)

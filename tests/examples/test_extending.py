@@ -46,7 +46,7 @@ def test_its_options_are_in_the_tables_of_help():
     assert "agent=langevin   explore=greedy (default)" in "\n".join(lines)
     assert "agent=epinet     explore=index (default), epsilon_greedy, greedy" in lines
     with_ucb = [line for line in lines if "ucb" in line]
-    assert [line.split()[0] for line in with_ucb] == ["agent=bbqn"]
+    assert [line.split()[0] for line in with_ucb] == ["agent=bbqn", "agent=gp"]
     assert "chain" in store.options("env")
     assert "visits" in store.options("intrinsic")
 
