@@ -100,7 +100,7 @@ class GPLoss(OneStepQLoss):
 
     @property
     def only_fits(self) -> bool:
-        """Whether nothing is learned by gradient, only by :meth:`fit`."""
+        """True if nothing is learned by gradient, only by :meth:`fit`."""
         return isinstance(self.network.features, StateFeatures)
 
     def _predict(

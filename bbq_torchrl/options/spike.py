@@ -36,7 +36,7 @@ class SpikeOption(Option):
 
     group: ClassVar[str] = "spike"
     takes_best: ClassVar[bool] = False
-    """Whether ``policy=null`` takes the best script, and not the first that succeeds."""
+    """``policy=null`` takes the best script, and not the first that succeeds."""
 
     dialogues: int = setting(100, NON_NEGATIVE_INTEGER, "scripted dialogues put into the buffer")
     policy: str | None = setting(

@@ -62,7 +62,7 @@ class Cell:
 
     @property
     def is_played(self) -> bool:
-        """Whether the cell is trained, and its goals were played."""
+        """True if the cell is trained, and its goals were played."""
         return (self.folder / _PLAYED).is_file()
 
     def played(self) -> tuple[Any, Any]:

@@ -95,8 +95,10 @@ def spike_policy(config: Config, domain: Domain | None) -> str:
         torch.manual_seed(derive_seed(0, "torch", "spike tried"))
         env.set_seed(derive_seed(0, "env", "spike tried"))
         played = rollouts(env, policy, TRIED, max_steps=config.env.steps())
-        booked[name] = sum(int(episode_stats(rollout).success.sum()) for rollout in played)
-        if booked[name] and not config.spike.takes_best:
+        successes = (int(episode_stats(rollout).success.sum()) for rollout in played)
+        if config.spike.takes_best:
+            booked[name] = sum(successes)
+        elif any(successes):
             return name
     if any(booked.values()):
         return max(booked, key=booked.__getitem__)

@@ -159,7 +159,7 @@ def labeled_files(data: Path | None, domain: Domain) -> dict[str, list[Line]]:
 def measure_own(
     understand: Understander, files: Mapping[str, Sequence[Line]], seed: int
 ) -> dict[str, Any]:
-    """Returns the figures of a domain of one's own.
+    """Returns the figures of a user's domain.
 
     They are those of sentences of its grammar that nothing was learned from, and of each file of
     labeled sentences, by its name.

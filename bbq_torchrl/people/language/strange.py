@@ -1,4 +1,4 @@
-"""What a domain does not have: sentences that it cannot mean, and names of no value."""
+"""Limits of a domain: sentences that it cannot mean, and names of no value."""
 
 from __future__ import annotations
 

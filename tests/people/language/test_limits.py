@@ -1,4 +1,4 @@
-"""Where a domain ends: what it cannot mean, names that it lacks, values that are denied."""
+"""Limits of a domain: foreign sentences, unknown names, denied values."""
 
 from __future__ import annotations
 
