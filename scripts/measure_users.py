@@ -3,6 +3,9 @@
     for agent in bbqn dqn bootstrap; do for users in people paper; do
     python train.py agent=$agent protocol=quick env.users=$users replicas=2 seed=910 \
         hydra.run.dir=runs/users/${agent}_$users; done; done
+    for users in people paper; do
+    python train.py agent=bbqn protocol=quick env.users=$users replicas=2 seed=910 spike=imitate \
+        spike.dialogues=300 hydra.run.dir=runs/users/imitate_$users; done
     python scripts/measure_users.py shipped:bbqn_map shipped:dqn runs/users/* [--dialogues 2000]
 
 plays these runs and the scripted policy ``repair`` with the users of both kinds. ``answers`` is the
@@ -112,7 +115,8 @@ def rows_of(config: Config, folder: Path | None, dialogues: int) -> Iterator[tup
     run: tuple[str, ...] = ("repair", "", "", "")
     if folder is not None:
         numbers = (str(config.protocol.rounds), str(config.seed))
-        run = (config.agent.name, str(config.env.users), *numbers)
+        imitates = ", imitating" if config.spike.name == "imitate" else ""
+        run = (f"{config.agent.name}{imitates}", str(config.env.users), *numbers)
     known: dict[str, list[torch.Tensor]] = {}
     for users in PLAYED:
         env_option = replace(config.env, users=users)
@@ -121,7 +125,7 @@ def rows_of(config: Config, folder: Path | None, dialogues: int) -> Iterator[tup
             policy = env_option.make_policy("repair", env)
         else:
             policy, _ = trained_policy(config, folder, env)
-        is_uncertain = run[0] in ("bbqn", "bootstrap")
+        is_uncertain = folder is not None and config.agent.name in ("bbqn", "bootstrap")
         found = []
         for batch in evaluation_rollouts(
             env, policy, dialogues, seed=_SEED, max_steps=env_option.steps()
