@@ -35,12 +35,12 @@ if TYPE_CHECKING:
 
     from tensordict.nn import TensorDictModuleBase
     from torchrl.envs import EnvBase
+    from torchrl.modules import QValueActor
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.evaluation.groups import Group
     from bbq_torchrl.options import Config
     from bbq_torchrl.runs.build import Checkout
-    from bbq_torchrl.runs.train import Agent
     from bbq_torchrl.trainers import EpisodeStats, RoundTrainer
     from bbq_torchrl.trainers.metrics import MetricRow
 
@@ -54,7 +54,7 @@ def final_result(
     config: Config,
     folder: Path,
     domain: Domain | None,
-    agent: Agent,
+    actor: QValueActor,
     trainer: RoundTrainer,
     code: Checkout,
 ) -> RunResult:
@@ -64,7 +64,7 @@ def final_result(
         config: the run's configuration.
         folder: the run folder.
         domain: the run's domain.
-        agent: the trained agent.
+        actor: the trained actor.
         trainer: its trainer, with the metrics of the training.
         code: the state of the code at the start of the run.
     """
@@ -74,7 +74,7 @@ def final_result(
     _LOG.info("evaluating on %d dialogues a replica", protocol.eval_dialogues)
     places = protocol.places(protocol.eval_dialogues, config.replicas)
     env = _last_env(config, domain, config.replicas, places)
-    name, policy = config.agent.make_evaluation(agent.actor)
+    name, policy = config.agent.make_evaluation(actor)
     NonFiniteWeightsError.check(policy, folder)
     played = _played(config, env, policy, protocol.eval_dialogues)
     RunFolderGoneError.check(folder)

@@ -93,7 +93,7 @@ def run(
             with interruption.on_interrupt(trainer.stop):
                 trainer.train(resume=config.resume is not None)
             interruption.check()
-            result = final.final_result(config, folder, domain, agent, trainer, code)
+            result = final.final_result(config, folder, domain, agent.actor, trainer, code)
             write_json(result, folder / RESULT)
         if config.protocol.keep_checkpoints == "weights":
             trainer.checkpoints.keep_only("loss", "best")
