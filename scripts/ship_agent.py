@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from bbq_torchrl.evaluation.results import read_result, write_json
-from bbq_torchrl.options.values import replica_values
+from bbq_torchrl.options.task import replica_values
 from bbq_torchrl.runs import shipped
 from bbq_torchrl.runs.build import make_domain
 from bbq_torchrl.runs.resume import description, run_config, save_config

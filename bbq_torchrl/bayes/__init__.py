@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-from bbq_torchrl.bayes.bayes_conv import BayesConv2d
 from bbq_torchrl.bayes.bayes_gru import BayesGRU
 from bbq_torchrl.bayes.bayes_mlp import BayesLinear, BayesMLP
-from bbq_torchrl.bayes.layers import BayesLayer
+from bbq_torchrl.bayes.layers import BayesConv2d, BayesLayer
 from bbq_torchrl.bayes.posterior import GaussianPosterior, kl_divergence
 from bbq_torchrl.bayes.scope import KLSum, weight_scope
 

@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.options import ConfigError, EvaluateConfig
-from bbq_torchrl.options.values import replica_values
+from bbq_torchrl.options.task import replica_values
 from bbq_torchrl.runs.compose import compose, run_of
 from bbq_torchrl.runs.overrides import take_config_dir
 from bbq_torchrl.runs.resume import run_config

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+from bbq_torchrl.data.bonus_reward import CountReward
 from bbq_torchrl.data.bootstrap_mask import BootstrapMask
-from bbq_torchrl.data.count_reward import CountReward
 from bbq_torchrl.data.replay import TRANSITION_KEYS, ReplicaReplay
 from bbq_torchrl.data.rows import Batch, validate_transitions
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter

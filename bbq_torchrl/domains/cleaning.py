@@ -7,8 +7,7 @@ from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains.parts import Goal
-from bbq_torchrl.domains.spelling import misspellings
-from bbq_torchrl.domains.values import RESERVED_TEXT, fold
+from bbq_torchrl.domains.values import RESERVED_TEXT, fold, misspellings
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator

@@ -20,17 +20,17 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.domain import Domain
 from bbq_torchrl.domains.faults import DomainError, Fault
-from bbq_torchrl.domains.specification import SPECIFICATION_FILE, read_specification
-from bbq_torchrl.domains.spelling import DIFFERENCE, misspellings, plain
-from bbq_torchrl.domains.tables import (
+from bbq_torchrl.domains.files import (
     GOALS_FILE,
     RECORDS_FILE,
+    SPECIFICATION_FILE,
     VALUES_FILE,
     read_goals,
     read_records,
+    read_specification,
     read_values,
 )
-from bbq_torchrl.domains.values import RESERVED_TEXT
+from bbq_torchrl.domains.values import DIFFERENCE, RESERVED_TEXT, misspellings, plain
 from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:

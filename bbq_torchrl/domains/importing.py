@@ -14,11 +14,10 @@ import yaml
 
 from bbq_torchrl.domains.cleaning import cleaned, only_in_goals
 from bbq_torchrl.domains.faults import DomainError, Source
+from bbq_torchrl.domains.files import SPECIFICATION_FILE, VALUES_FILE
 from bbq_torchrl.domains.folder import load_domain, save_data
 from bbq_torchrl.domains.miulab import fitted, read_corpus
 from bbq_torchrl.domains.parts import ACTION_KINDS, Action, ScriptedPolicySpec
-from bbq_torchrl.domains.specification import SPECIFICATION_FILE
-from bbq_torchrl.domains.tables import VALUES_FILE
 from bbq_torchrl.utils import output
 
 if TYPE_CHECKING:

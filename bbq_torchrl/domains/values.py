@@ -1,15 +1,23 @@
-"""The reserved value ids, which mean the same in every slot of every domain.
+"""Values: the reserved ids, how two texts compare, and texts that look the same but differ.
 
-The simulator represents each slot's value as an integer id. The first four ids are reserved; the
-values of the slot follow from :data:`FIRST_VALUE` on.
+The simulator represents each slot's value as an integer id. The first four ids are reserved, with
+the same meaning in every slot of every domain; the values of the slot follow from
+:data:`FIRST_VALUE` on.
 """
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import unicodedata
+from collections import Counter, defaultdict
+from functools import lru_cache
+from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
+
+    from bbq_torchrl.domains.faults import Place
+    from bbq_torchrl.domains.parts import Goal
+
 
 NONE = 0
 """The slot has no value."""
@@ -54,3 +62,103 @@ def value_ids(vocabulary: Iterable[Sequence[str]]) -> list[dict[str, int]]:
         vocabulary: per slot, id to text.
     """
     return [{fold(text): id_ for id_, text in enumerate(texts)} for texts in vocabulary]
+
+
+_ALIKE = {
+    **dict.fromkeys("\u2018\u2019\u201a\u201b\u02bc\u2032\u00b4\u0060", "'"),
+    **dict.fromkeys("\u201c\u201d\u201e\u201f\u2033\u00ab\u00bb", '"'),
+    **dict.fromkeys("\u2010\u2011\u2012\u2013\u2014\u2015\u2212", "-"),
+}
+DIFFERENCE = "only in blanks, quotes, dashes or how letters are encoded"
+"""The possible differences of values whose :func:`plain` forms are equal."""
+
+_LETTERS = str.maketrans(_ALIKE)
+_RESERVED = {fold(text): text for text in RESERVED_TEXT.values()}
+
+
+class Misspelling(NamedTuple):
+    """A value that looks like another value of its slot but does not match it.
+
+    Attributes:
+        place: its location in the domain.
+        slot: its slot.
+        text: its spelling.
+        usual: the most frequent spelling, or a reserved value.
+    """
+
+    place: Place
+    slot: str
+    text: str
+    usual: str
+
+    def __str__(self) -> str:
+        # In ASCII, which shows a no-break space and a letter of two characters.
+        return f"{self.slot} = {self.text!a}, which never matches {self.usual!a}"
+
+
+@lru_cache(maxsize=50_000)
+def plain(text: str) -> str:
+    r"""Returns a value's visible content: without case, with one kind of blank, quote and dash.
+
+    Compatibility forms of letters (NFKC) are unified. Leading, trailing and repeated blanks and
+    characters without width are removed.
+
+    Examples:
+        >>> plain(" Freddy\u2019s\u00a0 Pizza") == plain("freddy's pizza")
+        True
+    """
+    folded = fold(text)
+    if not folded.isascii():
+        folded = unicodedata.normalize("NFKC", fold(folded.translate(_LETTERS)))
+        folded = "".join(letter for letter in folded if unicodedata.category(letter) != "Cf")
+    return " ".join(folded.translate(_LETTERS).split())
+
+
+def misspellings(
+    records: Sequence[Mapping[str, str]],
+    goals: Sequence[Goal],
+    error_values: Mapping[str, Iterable[str]],
+) -> list[Misspelling]:
+    """Finds values of a slot that do not match although their :func:`plain` forms are equal.
+
+    Args:
+        records: slot to value.
+        goals: the users' goals.
+        error_values: slot to values.
+    """
+    written: dict[tuple[str, str], list[tuple[Place, str]]] = defaultdict(list)
+    for place, slot, text in _values(records, goals, error_values):
+        if isinstance(text, str):
+            written[slot, plain(text)].append((place, text))
+    found = []
+    for (slot, key), items in written.items():
+        spellings = Counter(fold(text) for _, text in items)
+        reserved = _RESERVED.get(key)
+        if len(spellings) == 1 and (reserved is None or fold(reserved) in spellings):
+            continue
+        most = spellings.most_common(1)[0][0]
+        usual = reserved or next(text for _, text in items if fold(text) == most)
+        found += [
+            Misspelling(place, slot, text, usual)
+            for place, text in items
+            if fold(text) != fold(usual)
+        ]
+    return found
+
+
+def _values(
+    records: Sequence[Mapping[str, str]],
+    goals: Sequence[Goal],
+    error_values: Mapping[str, Iterable[str]],
+) -> Iterator[tuple[Place, str, str]]:
+    """Yields (location, slot, value) for every value."""
+    for name, entries in (
+        ("records", records),
+        ("goals", [goal.constraints for goal in goals]),
+    ):
+        for number, entry in enumerate(entries):
+            for slot, text in entry.items():
+                yield (name, number), slot, text
+    for slot, texts in error_values.items():
+        for text in texts:
+            yield ("error_values", slot, text), slot, text

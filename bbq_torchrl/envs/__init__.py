@@ -2,17 +2,16 @@
 
 from __future__ import annotations
 
-from bbq_torchrl.envs.clairvoyant import ClairvoyantPolicy
 from bbq_torchrl.envs.dialogue import DialogueEnv
+from bbq_torchrl.envs.parts import EnvState, ExtensionSchedule
 from bbq_torchrl.envs.policies import (
     CarefulPolicy,
+    ClairvoyantPolicy,
     SequencePolicy,
     UniformPolicy,
     scripted_policy,
 )
 from bbq_torchrl.envs.repair import RepairPolicy
-from bbq_torchrl.envs.schedule import ExtensionSchedule
-from bbq_torchrl.envs.state import EnvState
 
 __all__ = [
     "CarefulPolicy",

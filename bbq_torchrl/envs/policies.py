@@ -1,4 +1,4 @@
-"""Scripted policies: a fixed sequence, a form to fill in, random actions, and those of a domain."""
+"""Policies that do not learn: scripts, forms, random actions, and one that reads the goal."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 
 from bbq_torchrl.domains.parts import PRIVILEGED_POLICY, RANDOM_POLICY
-from bbq_torchrl.envs.clairvoyant import ClairvoyantPolicy
+from bbq_torchrl.domains.values import DONT_CARE, NONE
 from bbq_torchrl.envs.repair import RepairPolicy, indices
+from bbq_torchrl.simulator.choices import pack, popcount
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -19,6 +20,131 @@ if TYPE_CHECKING:
     from torchrl.envs import EnvBase
 
     from bbq_torchrl.domains import Domain
+
+
+class ClairvoyantPolicy(TensorDictModuleBase):
+    """A policy that knows the user's goal and everything that was misheard.
+
+    It reads ``env.dialogues``, the simulator's state, which agents do not observe. It serves as a
+    reference, not as a demonstration. Each turn it takes the first action with a reason:
+
+    1. Constraints are unsaid and a question is open: request the question's slot, which makes the
+       user inform all unsaid constraints at once.
+    2. A constraint is unsaid or was misheard: request it. If an unsaid one cannot be requested,
+       ``confirm_answer`` makes the user continue.
+    3. An error has filled a slot outside the goal: request it.
+    4. A question is open: answer it. Of several questions, the first is the one whose answer leaves
+       the most records with values for all the others.
+    5. Nothing has been offered yet: offer the booking.
+    6. End the dialogue.
+
+    It is not proven to be optimal: it does not wait for errors that happen to help. Goals whose
+    constraints and questions no single record meets can only succeed through an error.
+
+    Args:
+        env: the :class:`~bbq_torchrl.envs.DialogueEnv`, with or without transforms, that the policy
+            plays in. It cannot play in another one or in a copy.
+
+    Examples:
+        >>> from bbq_torchrl.domains import movie_domain
+        >>> from bbq_torchrl.envs import DialogueEnv
+        >>> env = DialogueEnv(movie_domain(), batch_size=(100,), slot_error_prob=0.0, seed=0)
+        >>> rollout = env.rollout(21, ClairvoyantPolicy(env), break_when_any_done=False)
+        >>> bool(rollout["next", "success"].any(1).double().mean() > 0.7)
+        True
+    """
+
+    def __init__(self, env: EnvBase) -> None:
+        super().__init__()
+        self.in_keys, self.out_keys = ["action_mask"], ["action"]
+        domain, tensors = env.domain, env.simulator.domain
+        names = domain.action_names
+        self._request = _actions_of_slots(names, "request", domain.slots).to(env.device)
+        self._inform = _actions_of_slots(names, "inform", domain.slots).to(env.device)
+        # These two are booked and offered, not answered.
+        self._inform[[tensors.ticket, tensors.complete]] = -1
+        self._offer = domain.action_index(f"inform({domain.complete_slot})")
+        self._end = names.index("thanks" if "thanks" in names else "closing")
+        self._continue = names.index("confirm_answer") if "confirm_answer" in names else self._offer
+        self._ticket, self._complete = tensors.ticket, tensors.complete
+        self._constrains = tensors.constrains
+        self._knowledge_base = env.simulator.knowledge_base
+        self._records_with = pack((tensors.records != NONE).t())
+        # In a closure, because an environment is a module and would become a submodule.
+        self._dialogues = lambda: env.dialogues
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Writes the next action."""
+        state = self._dialogues()
+        is_legal = tensordict.get("action_mask")
+        may_request, may_inform = _legal(is_legal, self._request), _legal(is_legal, self._inform)
+        constraints, held, agenda = state["constraints"], state["held"], state["agenda"]
+        is_constraint = constraints != NONE
+        is_open = (agenda | state["pending"]) & ~is_constraint
+        is_open[..., self._ticket] = False
+        is_unsaid = (agenda & is_constraint).any(-1)
+        has_offered = state["constraints_met"] | (state["agent_informs"][..., self._complete] > 0)
+
+        all_at_once = is_open & agenda & may_request & is_unsaid[..., None]
+        wrong = is_constraint & (held != constraints) & may_request
+        stray = ~is_constraint & ~state["requests"] & self._constrains & may_request
+        stray = stray & (held > DONT_CARE)
+        answers = is_open & may_inform
+        asks = all_at_once.any(-1) | wrong.any(-1) | is_unsaid | stray.any(-1)
+        order = self._records_left(held, is_open, answers & ~asks[..., None])
+
+        action = torch.where(has_offered, self._end, self._offer)
+        action = torch.where(answers.any(-1), self._inform[order.argmax(-1)], action)
+        action = torch.where(stray.any(-1), self._first(stray), action)
+        action = torch.where(is_unsaid, self._continue, action)
+        action = torch.where(wrong.any(-1), self._first(wrong), action)
+        action = torch.where(all_at_once.any(-1), self._first(all_at_once), action)
+        return tensordict.set("action", action)
+
+    def _first(self, slots: torch.Tensor) -> torch.Tensor:
+        """Returns the request of the first flagged slot, long ``[*B]``; without a flag any."""
+        return self._request[slots.to(torch.uint8).argmax(-1)]
+
+    def _records_left(
+        self, held: torch.Tensor, is_open: torch.Tensor, answers: torch.Tensor
+    ) -> torch.Tensor:
+        """Counts the records left after each possible answer.
+
+        Args:
+            held: long ``[*B, S]``, the values that the tracker holds.
+            is_open: bool ``[*B, S]``, the open questions.
+            answers: bool ``[*B, S]``, the answers to evaluate.
+
+        Returns:
+            Long ``[*B, S]``: the number of records that match the values held after the answer and
+            have values for all other open questions; -1 for answers that are not evaluated.
+        """
+        shape, n_slots = held.shape, held.shape[-1]
+        held, is_open, answers = (part.reshape(-1, n_slots) for part in (held, is_open, answers))
+        left = torch.full_like(held, -1)
+        row, slot = answers.nonzero(as_tuple=True)
+        if slot.numel() == 0:
+            return left.view(shape)
+        held, others = held[row], is_open[row]
+        value, _ = self._knowledge_base.fill(held, slot)
+        held = held.scatter(-1, slot[:, None], value[:, None])
+        others = others.scatter(-1, slot[:, None], False)
+        records = self._knowledge_base.matching(held)
+        for is_other, with_slot in zip(others.unbind(-1), self._records_with, strict=True):
+            records = torch.where(is_other[:, None], records & with_slot, records)
+        left[row, slot] = popcount(records)
+        return left.view(shape)
+
+
+def _actions_of_slots(names: tuple[str, ...], act: str, slots: tuple[str, ...]) -> torch.Tensor:
+    """Returns the action of each slot, long ``[S]``, or -1."""
+    index = {name: number for number, name in enumerate(names)}
+    return torch.tensor([index.get(f"{act}({slot})", -1) for slot in slots])
+
+
+def _legal(is_legal: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
+    """Returns the slots with a legal action, bool ``[*B, S]``."""
+    return is_legal[..., actions.clamp(min=0)] & (actions >= 0)
 
 
 class SequencePolicy(TensorDictModuleBase):

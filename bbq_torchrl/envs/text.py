@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.domains.coding import Coding
+from bbq_torchrl.domains.frames import Coding
 from bbq_torchrl.people.language import Frame, Generator, TextError, Understood
 from bbq_torchrl.people.language.asking import Asking, repeated
 from bbq_torchrl.people.language.cache import cached_understander

@@ -12,9 +12,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.evaluation.ablations import ablations_report
 from bbq_torchrl.evaluation.comparison import comparison_report
-from bbq_torchrl.evaluation.grid import grid_report
+from bbq_torchrl.evaluation.designs import ablations_report, grid_report
 from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.runs import find_results, find_unfinished
 from bbq_torchrl.evaluation.table1 import table1_report

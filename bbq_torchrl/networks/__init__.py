@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from bbq_torchrl.networks.bootstrap_mlp import BootstrapMLP
-from bbq_torchrl.networks.flat_mlp import FlatMLP
 from bbq_torchrl.networks.gaussian_process import GaussianProcess
+from bbq_torchrl.networks.mlp import BootstrapMLP, FlatMLP
 from bbq_torchrl.networks.noisy_mlp import NoisyMLP, ReplicaNoisyLinear
 from bbq_torchrl.networks.q_actor import q_actor
 from bbq_torchrl.networks.vote import bootstrap_actor

@@ -17,9 +17,8 @@ from torchrl.objectives.utils import ValueEstimators
 from bbq_torchrl.bayes.replicas import checked_number, replicas_of
 from bbq_torchrl.checks import ABOVE_ZERO, PROBABILITY, check
 from bbq_torchrl.networks.q_actor import legal_actions, masked
-from bbq_torchrl.objectives.margin import margin_loss
 from bbq_torchrl.objectives.rows import row_entry, row_weights
-from bbq_torchrl.objectives.td_loss import DISTANCE, Distance, td_loss
+from bbq_torchrl.objectives.td_loss import DISTANCE, Distance, margin_loss, td_loss
 from bbq_torchrl.objectives.value_function import ValueFunction
 
 if TYPE_CHECKING:

@@ -8,7 +8,6 @@ an option's ``make`` does.
 from __future__ import annotations
 
 from bbq_torchrl.options.agent import AgentOption
-from bbq_torchrl.options.agreements import agreement, validate
 from bbq_torchrl.options.domain import DomainOption
 from bbq_torchrl.options.env import EnvOption
 from bbq_torchrl.options.explore import Exploration, ExploreOption
@@ -16,7 +15,7 @@ from bbq_torchrl.options.intrinsic import IntrinsicOption
 from bbq_torchrl.options.logger import LoggerOption
 from bbq_torchrl.options.protocol import ProtocolOption
 from bbq_torchrl.options.registry import Option, explorations, register, schemas
-from bbq_torchrl.options.root import CalibrateConfig, Config, EvaluateConfig
+from bbq_torchrl.options.root import CalibrateConfig, Config, EvaluateConfig, agreement, validate
 from bbq_torchrl.options.settings import ConfigError, check_settings
 from bbq_torchrl.options.spike import SpikeOption
 from bbq_torchrl.options.task import Task

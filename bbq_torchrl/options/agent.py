@@ -28,7 +28,7 @@ from bbq_torchrl.options.settings import (
     per_replica,
     setting,
 )
-from bbq_torchrl.options.values import over_replicas, spread
+from bbq_torchrl.options.task import over_replicas, spread
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

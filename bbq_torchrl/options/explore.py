@@ -18,7 +18,7 @@ from bbq_torchrl.options.settings import (
     per_replica,
     setting,
 )
-from bbq_torchrl.options.values import annealed_rounds, beside_dialogues, check_falls
+from bbq_torchrl.options.task import annealed_rounds, beside_dialogues, check_falls
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -55,7 +55,7 @@ class Option(ABC):
     def check(self) -> None:  # noqa: B027 (most options have nothing to refuse)
         """Refuses values that contradict each other; single values have been checked before.
 
-        :mod:`bbq_torchrl.options.agreements` checks what two options must agree on.
+        :mod:`bbq_torchrl.options.root` checks what two options must agree on.
 
         Raises:
             ConfigError: one sentence that names the key, its value and what is allowed.

@@ -37,7 +37,7 @@ from bbq_torchrl.options import (
 )
 from bbq_torchrl.options.registry import EXPERIMENT, conf_folder, options, options_folder
 from bbq_torchrl.options.settings import walk
-from bbq_torchrl.options.values import keys_with_lists
+from bbq_torchrl.options.task import keys_with_lists
 from bbq_torchrl.runs.folders import quoted
 from bbq_torchrl.runs.overrides import (
     allowed,

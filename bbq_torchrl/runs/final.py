@@ -24,7 +24,7 @@ from bbq_torchrl.evaluation.results import (
 from bbq_torchrl.evaluation.rollouts import evaluate
 from bbq_torchrl.evaluation.runs import Replica
 from bbq_torchrl.options import ConfigError
-from bbq_torchrl.options.values import replica_values
+from bbq_torchrl.options.task import replica_values
 from bbq_torchrl.protocols import enter_round
 from bbq_torchrl.trainers import NonFiniteWeightsError, RunFolderGoneError
 from bbq_torchrl.utils.files import CURVE

@@ -37,7 +37,7 @@ from bbq_torchrl.options.registry import (
     options,
     options_folder,
 )
-from bbq_torchrl.options.values import keys_with_lists
+from bbq_torchrl.options.task import keys_with_lists
 from bbq_torchrl.utils.extras import install_command
 from bbq_torchrl.utils.text import sentence, shown
 

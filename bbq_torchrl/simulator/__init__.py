@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 from bbq_torchrl.simulator.error_model import Channel, ErrorModel, SlotErrorMode
-from bbq_torchrl.simulator.features import FeatureLayout
+from bbq_torchrl.simulator.features import FeatureLayout, Rewards
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 from bbq_torchrl.simulator.measured_errors import MeasuredErrors
 from bbq_torchrl.simulator.profiles import Profile
-from bbq_torchrl.simulator.rewards import Rewards
 from bbq_torchrl.simulator.simulator import Simulator
 from bbq_torchrl.simulator.tracker import Utterance
 from bbq_torchrl.simulator.transcript import Transcript

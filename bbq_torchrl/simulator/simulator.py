@@ -10,13 +10,11 @@ from tensordict import TensorDict
 
 from bbq_torchrl.domains.values import NO_MATCH, NONE
 from bbq_torchrl.simulator.error_model import ErrorModel
-from bbq_torchrl.simulator.features import Features
+from bbq_torchrl.simulator.features import Features, Rewards
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
-from bbq_torchrl.simulator.mixed_user import MixedUser
 from bbq_torchrl.simulator.profiles import Mix, profiles_of
-from bbq_torchrl.simulator.rewards import Rewards
 from bbq_torchrl.simulator.tracker import Tracker, Utterance
-from bbq_torchrl.simulator.user import User
+from bbq_torchrl.simulator.user import MixedUser, User
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.domains.coding import Coding
+from bbq_torchrl.domains.frames import Coding
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase

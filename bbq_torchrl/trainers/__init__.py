@@ -5,7 +5,14 @@ from __future__ import annotations
 from bbq_torchrl.protocols import EvaluationHook, ReplicaOptimizer, RoundEnv
 from bbq_torchrl.trainers.best_weights import BestWeights
 from bbq_torchrl.trainers.checkpoint import CheckpointFolder
-from bbq_torchrl.trainers.collect import EpisodeStats, Policy, episode_stats, rollout, rollouts
+from bbq_torchrl.trainers.collect import (
+    EpisodeStats,
+    Policy,
+    Spike,
+    episode_stats,
+    rollout,
+    rollouts,
+)
 from bbq_torchrl.trainers.errors import (
     CheckpointDamagedError,
     CheckpointMismatchError,
@@ -16,11 +23,9 @@ from bbq_torchrl.trainers.errors import (
     TrainingError,
 )
 from bbq_torchrl.trainers.learn import keep_freed_memory, losses_of
-from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
+from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile, RoundProgress
 from bbq_torchrl.trainers.optimizer import ReplicaAdam
-from bbq_torchrl.trainers.progress import RoundProgress
 from bbq_torchrl.trainers.round_trainer import RoundCallback, RoundTrainer
-from bbq_torchrl.trainers.spiking import Spike
 from bbq_torchrl.utils.seeds import derive_seed
 
 __all__ = [

@@ -31,8 +31,7 @@ from bbq_torchrl.trainers.errors import (
     TrainingError,
 )
 from bbq_torchrl.trainers.learn import Learner
-from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile
-from bbq_torchrl.trainers.progress import RoundProgress
+from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile, RoundProgress
 from bbq_torchrl.utils.files import CHECKPOINTS, METRICS
 from bbq_torchrl.utils.seeds import derive_seed
 
@@ -45,7 +44,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.data import ReplicaReplay
     from bbq_torchrl.protocols import EvaluationHook
-    from bbq_torchrl.trainers.spiking import Spike
+    from bbq_torchrl.trainers.collect import Spike
 
 
 @dataclass(eq=False)

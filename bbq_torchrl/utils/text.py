@@ -1,14 +1,16 @@
-"""Error messages: values are shortened, secrets hidden, faults listed."""
+"""Error messages, with values shortened and secrets hidden, and texts that people type."""
 
 from __future__ import annotations
 
 import os
 import re
 import reprlib
+import unicodedata
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
+
 
 _VALUE = 200  # characters of a value: more than anybody types
 _LINE = 5_000  # characters of a sentence
@@ -125,3 +127,35 @@ def _cut(text: str, length: int) -> str:
         return text
     half = length // 2
     return f"{text[:half]} [... {len(text) - 2 * half} characters ...] {text[-half:]}"
+
+
+MAX_CHARACTERS = 1_000
+"""The longest message; nobody types more to a ticket agent."""
+
+
+class TextError(ValueError):
+    """Text that cannot be read as a message; the sentence is fit to be shown to its author."""
+
+
+def clean(text: str) -> str:
+    r"""Returns a text as one line, composed, without control and broken characters.
+
+    Raises:
+        TextError: if the text is longer than :data:`MAX_CHARACTERS`, or blank.
+
+    Examples:
+        >>> clean(" two\x00 tickets,\n please ")
+        'two tickets, please'
+    """
+    if len(text) > MAX_CHARACTERS:
+        raise TextError(
+            f"a message may have at most {MAX_CHARACTERS:,} characters, this one has {len(text):,}"
+        )
+    plain = "".join(
+        " " if unicodedata.category(letter) in ("Cc", "Cs", "Zl", "Zp") else letter
+        for letter in unicodedata.normalize("NFC", text)
+    )
+    line = " ".join(plain.split())
+    if not any(unicodedata.category(letter)[0] not in "CZM" for letter in line):
+        raise TextError("a message must have at least one word, number or mark")
+    return line

@@ -16,9 +16,8 @@ from PIL import Image
 
 from bbq_torchrl.domains.parts import PRIVILEGED_POLICY, RANDOM_POLICY
 from bbq_torchrl.evaluation import comparison, pairs, table1
-from bbq_torchrl.evaluation.ablations import ablations_report
+from bbq_torchrl.evaluation.designs import ablations_report, grid_report
 from bbq_torchrl.evaluation.figures import draw_comparison
-from bbq_torchrl.evaluation.grid import grid_report
 from bbq_torchrl.evaluation.groups import Group, read_groups
 from bbq_torchrl.evaluation.metrics import rounds_to_reach
 from bbq_torchrl.evaluation.results import reference_lines

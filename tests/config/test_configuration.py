@@ -9,7 +9,7 @@ import pytest
 from bbq_torchrl.evaluation.runs import agent_name
 from bbq_torchrl.options import explorations, registry
 from bbq_torchrl.options.registry import options
-from bbq_torchrl.options.values import replica_values
+from bbq_torchrl.options.task import replica_values
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.resume import load_config, save_config
 

@@ -14,7 +14,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from bbq_torchrl.domains import Goal, load_domain, save_data
-from bbq_torchrl.domains.spelling import misspellings
+from bbq_torchrl.domains.values import misspellings
 
 TESTS = Path(__file__).parents[1]
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from bbq_torchrl.domains import load_domain
-from bbq_torchrl.domains.spelling import plain
+from bbq_torchrl.domains.values import plain
 from bbq_torchrl.envs.measured import load_errors
 from bbq_torchrl.people.language.labeled import lines_of
 from bbq_torchrl.people.language.phrases import load_phrases

@@ -8,7 +8,7 @@ import pytest
 from result_folders import sweeps
 from scipy import stats
 
-from bbq_torchrl.evaluation.grid import deviations, find_grid
+from bbq_torchrl.evaluation.designs import deviations, find_grid
 from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.runs import agent_name
 from bbq_torchrl.runs.compose import compose

@@ -10,10 +10,10 @@ from tensordict import TensorDict
 from torchrl.data import Categorical
 
 from bbq_torchrl.bayes import weight_scope
-from bbq_torchrl.bayes.linear_regression import posterior_factors, posterior_means
 from bbq_torchrl.networks import GaussianProcess, q_actor
 from bbq_torchrl.networks.gaussian_process import StateFeatures, TrunkFeatures
 from bbq_torchrl.objectives import GPLoss
+from bbq_torchrl.objectives.gaussian_process import posterior_factors, posterior_means
 
 FEATURES, ACTIONS, ROWS = 5, 3, 40
 PRIOR_STD, NOISE_STD, VALUE_STD = 1.5, 0.7, 2.5

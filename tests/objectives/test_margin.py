@@ -8,7 +8,7 @@ from dynamics_losses import result
 from q_transitions import ACTIONS, flat, heads_loss, plain_loss, transitions
 
 from bbq_torchrl.data import ReplicaReplay
-from bbq_torchrl.objectives.margin import margin_loss
+from bbq_torchrl.objectives.td_loss import margin_loss
 
 
 def by_definition(values, action, legal, demonstrated, weight, margin):

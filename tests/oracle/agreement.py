@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.domains.coding import Coding
+from bbq_torchrl.domains.frames import Coding
 from bbq_torchrl.simulator import ErrorModel, Simulator
 
 from .agents import StrayingAgent

@@ -13,7 +13,7 @@ from oracle.small import SLOTS, small_domain
 from oracle.values import DONT_CARE, NO_MATCH
 
 from bbq_torchrl.domains import Goal, tensorize
-from bbq_torchrl.domains.coding import Coding
+from bbq_torchrl.domains.frames import Coding
 from bbq_torchrl.simulator import KnowledgeBase
 from bbq_torchrl.simulator.choices import byte_counts, pack, popcount
 

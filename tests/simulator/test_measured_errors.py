@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.domains.coding import Coding
+from bbq_torchrl.domains.frames import Coding
 from bbq_torchrl.simulator import MeasuredErrors, Simulator, Utterance
 from bbq_torchrl.simulator.measured_errors import CONTEXTS
 

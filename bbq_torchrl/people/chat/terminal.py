@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.people.dialogue.judge import REASONS, Judge, card
-from bbq_torchrl.people.typed import TextError, clean
 from bbq_torchrl.utils.extras import needed
+from bbq_torchrl.utils.text import TextError, clean
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

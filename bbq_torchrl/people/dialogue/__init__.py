@@ -1,6 +1,19 @@
-"""Dialogue state, policy, control, success and beliefs: the parts that chat and study share."""
+"""Dialogue state, policy, control, success and beliefs: the parts that chat and study share.
+
+This page has the protocol of an agent in a study: text in; text, acts and beliefs out.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Protocol
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from bbq_torchrl.domains import Domain
+    from bbq_torchrl.domains.frames import Frame
+
 
 RULE_NAMES = (
     "yes_ends",
@@ -17,3 +30,92 @@ RULE_NAMES = (
     "aside",
 )
 """The rules of :mod:`~bbq_torchrl.people.dialogue.control`, here where no torch is needed."""
+
+
+@dataclass(frozen=True)
+class Belief:
+    """An agent's belief about one action.
+
+    Attributes:
+        action: the action's name.
+        mean: of its Q-value.
+        band50: lower and upper end of the middle half of its posterior.
+        band90: the same of the middle 90 %.
+        p_best: probability that no other action has a higher Q-value.
+    """
+
+    action: str
+    mean: float
+    band50: tuple[float, float]
+    band90: tuple[float, float]
+    p_best: float
+
+
+@dataclass(frozen=True)
+class Beliefs:
+    """An agent's beliefs before its act.
+
+    Attributes:
+        actions: the legal actions, or the best of them.
+        entropy: of the distribution of the best action, in nats.
+    """
+
+    actions: tuple[Belief, ...]
+    entropy: float
+
+
+@dataclass(frozen=True)
+class Reply:
+    """An agent's answer to a person's text, with all that is stored of it.
+
+    Attributes:
+        text: what the agent says.
+        heard: what was understood of the person's text.
+        said: the agent's act, its values filled in. The offer of a booking informs the domain's
+            complete slot (``ticket available`` or ``no match``) and all values held.
+        confidence: the nlu's confidence, in [0, 1]; ``None`` if it gives none.
+        ended: the agent ends the conversation.
+        state: whatever the talker needs to answer the next text; the study stores it and gives it
+            back, so that a conversation continues after any crash.
+        beliefs: what the agent thought; ``None`` for an agent without a posterior.
+    """
+
+    text: str
+    heard: Frame
+    said: Frame
+    confidence: float | None = None
+    ended: bool = False
+    state: str = ""
+    beliefs: Beliefs | None = None
+
+
+class Talker(Protocol):
+    """The agents of a study, as a function from a conversation's state and a text to an answer.
+
+    :meth:`reply` is called from several threads at once, never twice at once for a conversation.
+
+    Attributes:
+        domain: what is spoken of: the study's, where needed with one spelling for each value. Goal
+            cards are in its spelling, and acts are judged by it.
+        labels: how people call the domain's slots; a slot without a label is shown by its name.
+    """
+
+    domain: Domain
+    labels: Mapping[str, str]
+
+    def fingerprint(self, agent: str) -> str:
+        """Returns a hash of the agent's weights and of all else that decides what it says.
+
+        Raises:
+            ValueError: the agent cannot be loaded, or is of another domain; in one sentence.
+        """
+
+    def reply(self, agent: str, state: str | None, text: str, seed: int) -> Reply:
+        """Answers a text.
+
+        Args:
+            agent: the agent's name in the study.
+            state: of the conversation: that of the agent's last answer, ``None`` at the start.
+            text: what the person says: one line, not blank, at most 1,000 characters.
+            seed: of everything random in the answer; the same for a text sent again.
+        """

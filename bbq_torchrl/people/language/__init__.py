@@ -9,7 +9,7 @@ from bbq_torchrl.people.language.generate import Generator
 from bbq_torchrl.people.language.labeled import read_lines
 from bbq_torchrl.people.language.phrases import PhrasesError, load_phrases
 from bbq_torchrl.people.language.understand import Understander
-from bbq_torchrl.people.typed import MAX_CHARACTERS, TextError
+from bbq_torchrl.utils.text import MAX_CHARACTERS, TextError
 
 __all__ = [
     "ANY",

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains.frames import ANY, Frame
 from bbq_torchrl.people.language.words import legible
-from bbq_torchrl.people.typed import TextError
 from bbq_torchrl.utils.extras import needed
+from bbq_torchrl.utils.text import TextError
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

@@ -6,6 +6,7 @@ from collections import defaultdict
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
+from bbq_torchrl.people.language.learners import OUTSIDE, spans_of
 from bbq_torchrl.people.language.quantities import (
     DAY_WORDS,
     MONTH_WORDS,
@@ -14,7 +15,6 @@ from bbq_torchrl.people.language.quantities import (
     READERS,
     RELATION_WORDS,
 )
-from bbq_torchrl.people.language.tagger import OUTSIDE, spans_of
 from bbq_torchrl.people.language.words import COUNT_WORDS, NUMBER_WORDS, compact, word_set
 from bbq_torchrl.utils.extras import needed
 

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.people.language.corpus import make_examples
 from bbq_torchrl.people.language.labeled import Line, read_lines, without_unknown
-from bbq_torchrl.people.language.noise import lowered, with_typos
+from bbq_torchrl.people.language.surfaces import lowered, with_typos
 from bbq_torchrl.people.language.understand import keys_of, same_frame
 
 if TYPE_CHECKING:

@@ -7,8 +7,8 @@ from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
 from bbq_torchrl.people.language.asking import OPENING, Unclear, asked_slot
+from bbq_torchrl.people.language.learners import OUTSIDE, Span, spans_of
 from bbq_torchrl.people.language.quantities import DAY_WORDS, MONTH_WORDS, ORDINAL_WORDS, PART_WORDS
-from bbq_torchrl.people.language.tagger import OUTSIDE, Span, spans_of
 from bbq_torchrl.people.language.words import (
     COUNT_WORDS,
     ENGLISH,

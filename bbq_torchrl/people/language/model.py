@@ -12,8 +12,7 @@ import torch
 from bbq_torchrl.domains.frames import Frame
 from bbq_torchrl.people.language.asking import FOREIGN, asked_slot
 from bbq_torchrl.people.language.features import UNKNOWN, Features
-from bbq_torchrl.people.language.intents import IntentNet, train_intents
-from bbq_torchrl.people.language.tagger import OUTSIDE, Tagger
+from bbq_torchrl.people.language.learners import OUTSIDE, IntentNet, Tagger, train_intents
 from bbq_torchrl.people.language.words import BREAKS
 
 if TYPE_CHECKING:

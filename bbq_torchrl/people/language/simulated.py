@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.domains.coding import Coding
+from bbq_torchrl.domains.frames import Coding
 from bbq_torchrl.simulator import Simulator
 
 if TYPE_CHECKING:

@@ -14,21 +14,19 @@ from bbq_torchrl.people.language.assemble import assemble
 from bbq_torchrl.people.language.confidence import CUES, cues_of, fit_confidence, probability
 from bbq_torchrl.people.language.corpus import make_examples, spoiled
 from bbq_torchrl.people.language.features import Features
-from bbq_torchrl.people.language.intents import EPOCHS, IntentNet
 from bbq_torchrl.people.language.labeled import (
     DRILLED_FILE,
     LEARNED_FILE,
     as_examples,
     lines_of,
+    make_foreign,
     varied,
 )
+from bbq_torchrl.people.language.learners import EPOCHS, OUTSIDE, IntentNet, Tagger
 from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.model import Model, fit
 from bbq_torchrl.people.language.model_file import read_model, write_model
-from bbq_torchrl.people.language.noise import DROPPED
-from bbq_torchrl.people.language.strange import make_foreign
-from bbq_torchrl.people.language.surfaces import Surfaces
-from bbq_torchrl.people.language.tagger import OUTSIDE, Tagger
+from bbq_torchrl.people.language.surfaces import DROPPED, Surfaces
 from bbq_torchrl.people.language.words import words_of
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import Any
 
 import yaml
 
-from bbq_torchrl.people.typed import TextError, clean
+from bbq_torchrl.utils.text import TextError, clean
 
 ENGLISH: dict[str, Any] = yaml.safe_load(
     Path(__file__).with_name("english.yaml").read_text(encoding="utf-8")

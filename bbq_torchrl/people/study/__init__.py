@@ -1,13 +1,13 @@
 """A human study in the browser: people talk with agents, blindly, and rate them.
 
 ``bbq study`` is the command line; needs the extra ``study``. Who talks is a
-:class:`~bbq_torchrl.people.dialogue.talk.Talker`: this package knows neither networks nor language.
+:class:`~bbq_torchrl.people.dialogue.Talker`: this package knows neither networks nor language.
 """
 
 from __future__ import annotations
 
 from bbq_torchrl.domains.frames import Frame
-from bbq_torchrl.people.dialogue.talk import Belief, Beliefs, Reply, Talker
+from bbq_torchrl.people.dialogue import Belief, Beliefs, Reply, Talker
 from bbq_torchrl.people.study.plan import Study, StudyError, load_study
 
 __all__ = ["Belief", "Beliefs", "Frame", "Reply", "Study", "StudyError", "Talker", "load_study"]

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     import socket
     from collections.abc import Callable, Sequence
 
-    from bbq_torchrl.people.dialogue.talk import Talker
+    from bbq_torchrl.people.dialogue import Talker
     from bbq_torchrl.people.study.plan import Study
 
 TALKER = "bbq_torchrl.people.study.agents:make_talker"
@@ -235,7 +235,7 @@ def _report(given: argparse.Namespace) -> None:
 
 
 def _participants(given: argparse.Namespace) -> None:
-    from bbq_torchrl.people.study.export import export_participants
+    from bbq_torchrl.people.study.keeping import export_participants
 
     file = given.out or given.study.with_name(f"{given.study.stem}-participants.csv")
     if file.suffix != ".csv":  # the study's data, say
@@ -261,7 +261,7 @@ def _forget(given: argparse.Namespace) -> None:
 
 
 def _power(given: argparse.Namespace) -> None:
-    from bbq_torchrl.people.study.power import power
+    from bbq_torchrl.people.study.comparisons import power
 
     found = power(**{name: value for name, value in vars(given).items() if name != "command"})
     _say(f"power of the sign-flip test, the declared one: {found.sign_flip:.3f}")

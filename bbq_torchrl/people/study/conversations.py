@@ -12,14 +12,14 @@ from typing import TYPE_CHECKING
 from bbq_torchrl.people.dialogue.judge import Judge
 from bbq_torchrl.people.study.records import SCALES, current
 from bbq_torchrl.people.study.store import JoinRateError
-from bbq_torchrl.people.typed import TextError, clean
+from bbq_torchrl.utils.text import TextError, clean
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from bbq_torchrl.domains import Goal
     from bbq_torchrl.domains.frames import Frame
-    from bbq_torchrl.people.dialogue.talk import Talker
+    from bbq_torchrl.people.dialogue import Talker
     from bbq_torchrl.people.study.plan import Study
     from bbq_torchrl.people.study.records import Session, StoredExchange
     from bbq_torchrl.people.study.store import Store

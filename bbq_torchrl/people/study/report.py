@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.people.study.comparisons import compare_pairs
 from bbq_torchrl.people.study.database import PRIVATE
-from bbq_torchrl.people.study.export import export
+from bbq_torchrl.people.study.keeping import export
 from bbq_torchrl.people.study.records import HIGHEST, LOWEST, SCALES
 from bbq_torchrl.people.study.simulate import RATING_RULE
 from bbq_torchrl.people.study.statistics import auroc, kappa, mean, proportion

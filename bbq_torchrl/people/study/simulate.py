@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from bbq_torchrl.domains.frames import Frame
-    from bbq_torchrl.people.dialogue.talk import Talker
+    from bbq_torchrl.people.dialogue import Talker
     from bbq_torchrl.people.study.plan import Study
 
 _DAY, _HOUR, _PAUSE = 86_400.0, 3_600.0, 10.0

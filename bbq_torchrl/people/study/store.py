@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Mapping
     from pathlib import Path
 
-    from bbq_torchrl.people.dialogue.talk import Reply
+    from bbq_torchrl.people.dialogue import Reply
 
 SILENT_SECONDS = 600.0
 """After which somebody else may have the place of who joined and said nothing."""

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.domains import NO_MATCH, tensorize
-from bbq_torchrl.domains.coding import Coding
+from bbq_torchrl.domains.frames import Coding
 from bbq_torchrl.domains.values import FIRST_VALUE
 from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.language import Frame, Generator

@@ -24,7 +24,7 @@ from bbq_torchrl.people.study.database import StoreError
 from bbq_torchrl.people.study.guard import Guard
 from bbq_torchrl.people.study.records import act_text, current
 from bbq_torchrl.people.study.store import ForgottenError
-from bbq_torchrl.people.typed import MAX_CHARACTERS
+from bbq_torchrl.utils.text import MAX_CHARACTERS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from starlette.requests import Request
     from starlette.responses import Response
 
-    from bbq_torchrl.people.dialogue.talk import Talker
+    from bbq_torchrl.people.dialogue import Talker
     from bbq_torchrl.people.study.plan import Study
     from bbq_torchrl.people.study.records import Session
     from bbq_torchrl.people.study.store import Store

@@ -14,7 +14,7 @@ from bbq_torchrl.options.settings import (
     per_replica,
     setting,
 )
-from bbq_torchrl.options.values import beside_dialogues
+from bbq_torchrl.options.task import beside_dialogues
 
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase

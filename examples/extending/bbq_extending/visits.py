@@ -14,7 +14,7 @@ from bbq_torchrl.options.settings import (
     per_replica,
     setting,
 )
-from bbq_torchrl.options.values import over_replicas
+from bbq_torchrl.options.task import over_replicas
 
 if TYPE_CHECKING:
     from torchrl.envs import Transform

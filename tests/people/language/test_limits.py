@@ -15,9 +15,9 @@ from bbq_torchrl.people.language import Frame, Generator, Unclear, Understood
 from bbq_torchrl.people.language.asking import FOREIGN, OPENING
 from bbq_torchrl.people.language.assemble import assemble
 from bbq_torchrl.people.language.corpus import make_examples
+from bbq_torchrl.people.language.labeled import Names, make_foreign
+from bbq_torchrl.people.language.learners import OUTSIDE
 from bbq_torchrl.people.language.model import Reading
-from bbq_torchrl.people.language.strange import Names, make_foreign
-from bbq_torchrl.people.language.tagger import OUTSIDE
 from bbq_torchrl.people.language.words import ENGLISH, tokenize
 
 DEV = Path(__file__).parents[2] / "data" / "language" / "limits"

@@ -22,8 +22,8 @@ from bbq_torchrl.people.language import __main__ as command
 from bbq_torchrl.people.language.asking import OPENING
 from bbq_torchrl.people.language.assemble import assemble, chosen
 from bbq_torchrl.people.language.cache import cached_understander
+from bbq_torchrl.people.language.learners import OUTSIDE
 from bbq_torchrl.people.language.model import Reading
-from bbq_torchrl.people.language.tagger import OUTSIDE
 from bbq_torchrl.people.language.words import tokenize
 
 ANSWERS = read_lines(Path(__file__).with_name("answers.txt"), movie_domain())

@@ -8,7 +8,7 @@ import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from bbq_torchrl.domains import Goal
-from bbq_torchrl.domains.coding import Coding
+from bbq_torchrl.domains.frames import Coding
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
 
 

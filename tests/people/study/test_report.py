@@ -12,7 +12,7 @@ import pytest
 from bbq_torchrl.domains.frames import Frame
 from bbq_torchrl.people.study.__main__ import main
 from bbq_torchrl.people.study.comparisons import compare_pairs
-from bbq_torchrl.people.study.export import defused, without_names
+from bbq_torchrl.people.study.keeping import defused, without_names
 from bbq_torchrl.people.study.records import SCALES
 from bbq_torchrl.people.study.report import report_text, write_report
 from bbq_torchrl.people.study.results import read_results
@@ -231,7 +231,7 @@ def test_a_command_that_cannot_be_done_is_told_in_a_sentence(
 
 def test_report_and_power_need_neither_torch_nor_the_extra(tmp_path):
     program = (
-        "import sys; from bbq_torchrl.people.study import power, report, results; "
+        "import sys; from bbq_torchrl.people.study import comparisons, report, results; "
         "sys.exit(bool({'torch', 'starlette', 'jinja2', 'uvicorn'} & set(sys.modules)))"
     )
     forked.python("-c", program, cwd=tmp_path)

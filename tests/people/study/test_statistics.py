@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from bbq_torchrl.people.study.power import power
+from bbq_torchrl.people.study.comparisons import power
 from bbq_torchrl.people.study.statistics import (
     auroc,
     kappa,

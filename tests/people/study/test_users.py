@@ -8,7 +8,7 @@ import torch
 pytest.importorskip("pycrfsuite", reason="needs the extra language")
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.domains.coding import Coding
+from bbq_torchrl.domains.frames import Coding
 from bbq_torchrl.people.language import Frame
 from bbq_torchrl.people.study.users import SimulatedUser
 from bbq_torchrl.simulator import Simulator
