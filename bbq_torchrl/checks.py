@@ -92,8 +92,8 @@ COUNTS = Allowed(
     ),
 )
 BOOLEAN = Allowed("true or false", lambda value: isinstance(value, bool))
-TEXT = Allowed("a text", lambda value: isinstance(value, str))
-ANY_TEXT = Allowed("a text", lambda value: isinstance(value, str) and value != "")
+TEXT = Allowed("text", lambda value: isinstance(value, str))
+ANY_TEXT = Allowed("text", lambda value: isinstance(value, str) and value != "")
 
 USERS = Allowed(
     "one of paper, people, mixed, or profiles, such as [{share: .7, insists: 1}, {share: .3}]",

@@ -309,9 +309,9 @@ def _made(schema: type[Result], plain: dict[str, Any]) -> Result:
         ):
             raise ValueError(f"{item.name} must be a number, got {shown(value)}")
         if item.type == "str" and not isinstance(value, str):
-            raise ValueError(f"{item.name} must be a text, got {shown(value)}")
+            raise ValueError(f"{item.name} must be text, got {shown(value)}")
         if item.type == "str | None" and not isinstance(value, (str, type(None))):
-            raise ValueError(f"{item.name} must be a text or null, got {shown(value)}")
+            raise ValueError(f"{item.name} must be text or null, got {shown(value)}")
         if item.type == "bool | None" and not isinstance(value, (bool, type(None))):
             raise ValueError(f"{item.name} must be true, false or null, got {shown(value)}")
         if item.type == "dict[str, float]" and not (

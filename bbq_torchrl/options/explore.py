@@ -18,7 +18,7 @@ from bbq_torchrl.options.settings import (
     per_replica,
     setting,
 )
-from bbq_torchrl.options.task import annealed_rounds, beside_dialogues, check_falls
+from bbq_torchrl.options.task import annealed_rounds, check_falls, replica_column
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -93,7 +93,7 @@ class EpsilonGreedy(ExploreOption):
 
         from bbq_torchrl.exploration import BatchedEGreedy
 
-        start, end = (beside_dialogues(value, task) for value in (self.eps_init, self.eps_end))
+        start, end = (replica_column(value, task) for value in (self.eps_init, self.eps_end))
         has_several = isinstance(start, Tensor) or isinstance(end, Tensor)
         epsilon = (BatchedEGreedy if has_several else EGreedyModule)(
             task.action_spec,
@@ -132,8 +132,8 @@ class BoltzmannActing(ExploreOption):
         from bbq_torchrl.exploration import Boltzmann
 
         boltzmann = Boltzmann(
-            beside_dialogues(self.temperature_init, task),
-            beside_dialogues(self.temperature_end, task),
+            replica_column(self.temperature_init, task),
+            replica_column(self.temperature_end, task),
             annealed_rounds(self.anneal_fraction, task),
             action_mask_key=task.action_mask_key,
         )

@@ -75,7 +75,7 @@ class ProtocolOption(Option):
         since = round_number + 1 - start
         return 1.0 if since <= 0 else 1.0 - (1.0 - self.lr_final) * since / (self.rounds - start)
 
-    def places(self, dialogues: int, replicas: int) -> int:
+    def parallel_dialogues(self, dialogues: int, replicas: int) -> int:
         """Returns the number of a replica's parallel evaluation dialogues.
 
         A rollout contains the observations of every turn; of 12,500 dialogues they take 2 GB.

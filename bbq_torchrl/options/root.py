@@ -276,8 +276,8 @@ def _check_evaluation(config: Config) -> None:
         return
     turns = config.env.steps()
     dialogues = protocol.eval_every_dialogues
-    places = protocol.places(dialogues, replicas)
-    evaluation = math.ceil(dialogues / places) * turns * (FIXED_ROWS + replicas * places)
+    parallel = protocol.parallel_dialogues(dialogues, replicas)
+    evaluation = math.ceil(dialogues / parallel) * turns * (FIXED_ROWS + replicas * parallel)
     stored = (config.spike.dialogues + protocol.rounds * protocol.dialogues) * turns
     updates = protocol.updates_per_round
     if updates is None:

@@ -15,80 +15,30 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 from bbq_torchrl.checks import (
     ABOVE_ZERO_TO_ONE as ABOVE_ZERO_TO_ONE,
-)
-from bbq_torchrl.checks import (
     ANY_TEXT as ANY_TEXT,
-)
-from bbq_torchrl.checks import (
     AT_LEAST_ZERO as AT_LEAST_ZERO,
-)
-from bbq_torchrl.checks import (
     BATCH as BATCH,
-)
-from bbq_torchrl.checks import (
     BELOW_ONE as BELOW_ONE,
-)
-from bbq_torchrl.checks import (
     BOOLEAN as BOOLEAN,
-)
-from bbq_torchrl.checks import (
     COUNT as COUNT,
-)
-from bbq_torchrl.checks import (
     COUNTS as COUNTS,
-)
-from bbq_torchrl.checks import (
     NON_NEGATIVE as NON_NEGATIVE,
-)
-from bbq_torchrl.checks import (
     NON_NEGATIVE_INTEGER as NON_NEGATIVE_INTEGER,
-)
-from bbq_torchrl.checks import (
     POSITIVE as POSITIVE,
-)
-from bbq_torchrl.checks import (
     PROBABILITY as PROBABILITY,
-)
-from bbq_torchrl.checks import (
     REWARD as REWARD,
-)
-from bbq_torchrl.checks import (
     SEED as SEED,
-)
-from bbq_torchrl.checks import (
     SIZE as SIZE,
-)
-from bbq_torchrl.checks import (
     STEP_SIZE as STEP_SIZE,
-)
-from bbq_torchrl.checks import (
     THREADS as THREADS,
-)
-from bbq_torchrl.checks import (
     USERS as USERS,
-)
-from bbq_torchrl.checks import (
     Allowed as Allowed,
-)
-from bbq_torchrl.checks import (
     check as check,
-)
-from bbq_torchrl.checks import (
     integers as integers,
-)
-from bbq_torchrl.checks import (
     numbers as numbers,
-)
-from bbq_torchrl.checks import (
     one_of as one_of,
-)
-from bbq_torchrl.checks import (
     optional as optional,
-)
-from bbq_torchrl.checks import (
     or_text as or_text,
-)
-from bbq_torchrl.checks import (
     per_replica as per_replica,
 )
 

@@ -162,7 +162,7 @@ def over_replicas(value: Values, task: Task) -> float | Tensor:
     return float(value)
 
 
-def beside_dialogues(value: Values, task: Task) -> float | Tensor:
+def replica_column(value: Values, task: Task) -> float | Tensor:
     """Returns a number as a float, and a list as a float64 tensor [replicas, 1]."""
     over = over_replicas(value, task)
     return over if isinstance(over, float) else over.unsqueeze(-1)

@@ -153,8 +153,8 @@ def goal_plays(cell: Cell) -> dict[str, Any]:
     config = cell.config
     goals = len(config.domain.make().goals)
     dialogues = PLAYS * goals
-    places = config.protocol.places(dialogues, config.replicas)
-    env, policy, *_ = load_run(cell.folder, dialogues=places, device=config.device)
+    parallel = config.protocol.parallel_dialogues(dialogues, config.replicas)
+    env, policy, *_ = load_run(cell.folder, dialogues=parallel, device=config.device)
     plays, wins = torch.zeros(2, config.replicas, goals, dtype=torch.int64, device=config.device)
     seed = derive_seed(config.seed, "pass^k")
     for batch in evaluation_rollouts(

@@ -164,9 +164,9 @@ def round_evaluator(
     protocol = config.protocol
     if not protocol.eval_every:
         return None
-    places = protocol.places(protocol.eval_every_dialogues, config.replicas)
+    parallel = protocol.parallel_dialogues(protocol.eval_every_dialogues, config.replicas)
     return RoundEvaluator(
-        config.env.make(domain, (config.replicas, places), device=config.device),
+        config.env.make(domain, (config.replicas, parallel), device=config.device),
         lambda: config.agent.make_evaluation(actor)[1],
         every=protocol.eval_every,
         dialogues=protocol.eval_every_dialogues,

@@ -72,8 +72,8 @@ def final_result(
     trained = sum(row["seconds"] for row in rows if row["replica"] == 0)
     protocol = config.protocol
     _LOG.info("evaluating on %d dialogues a replica", protocol.eval_dialogues)
-    places = protocol.places(protocol.eval_dialogues, config.replicas)
-    env = _last_env(config, domain, config.replicas, places)
+    parallel = protocol.parallel_dialogues(protocol.eval_dialogues, config.replicas)
+    env = _last_env(config, domain, config.replicas, parallel)
     name, policy = config.agent.make_evaluation(actor)
     NonFiniteWeightsError.check(policy, folder)
     played = _played(config, env, policy, protocol.eval_dialogues)
@@ -180,9 +180,9 @@ def _others(config: Config, domain: Domain | None) -> dict[str, dict[str, float]
     }
 
 
-def _last_env(config: Config, domain: Domain | None, replicas: int, places: int) -> EnvBase:
+def _last_env(config: Config, domain: Domain | None, replicas: int, parallel: int) -> EnvBase:
     """Makes the environment of the last training round."""
-    env = config.env.make(domain, (replicas, places), device=config.device)
+    env = config.env.make(domain, (replicas, parallel), device=config.device)
     enter_round(env, max(config.protocol.rounds - 1, 0))
     return env
 

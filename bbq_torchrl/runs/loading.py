@@ -184,7 +184,7 @@ def train(overrides: Sequence[str] = (), *, options: Path | str | None = None) -
         >>> env, policy, config, mode = load_run(folder)  # doctest: +SKIP
     """
     if isinstance(overrides, str):
-        raise ConfigError(f"overrides must be a list, such as [{overrides!r}], got a text")
+        raise ConfigError(f"overrides must be a list, such as [{overrides!r}], got one string")
     for override in overrides:
         if override.startswith("-"):
             raise ConfigError(unreadable(override))

@@ -37,14 +37,14 @@ def pick_slot(pool: torch.Tensor, uniform: torch.Tensor) -> torch.Tensor:
         >>> pick_slot(torch.tensor([True, False, True]), torch.tensor([0.2, 0.9, 0.3]))
         tensor([False, False,  True])
     """
-    return one_of(torch.where(pool, uniform, -1.0).argmax(-1), pool.shape[-1]) & pool
+    return one_hot(torch.where(pool, uniform, -1.0).argmax(-1), pool.shape[-1]) & pool
 
 
-def one_of(index: torch.Tensor, count: int) -> torch.Tensor:
+def one_hot(index: torch.Tensor, count: int) -> torch.Tensor:
     """Returns one-hot flags of an index, bool ``[*B, count]``; a negative index has no flag.
 
     Examples:
-        >>> one_of(torch.tensor([1, -1]), 3)
+        >>> one_hot(torch.tensor([1, -1]), 3)
         tensor([[False,  True, False],
                 [False, False, False]])
     """

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import torch
 
 from bbq_torchrl.domains.values import NONE
-from bbq_torchrl.simulator.choices import one_of, rows
+from bbq_torchrl.simulator.choices import one_hot, rows
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -171,10 +171,10 @@ class Features:
         acts = state["turn"] + 1
         flags = torch.cat(
             [
-                one_of(state["heard_act"], self._n_acts),
+                one_hot(state["heard_act"], self._n_acts),
                 state["user_informs"] != NONE,
                 state["heard_requests"],
-                one_of(state["agent_act"], self._n_acts),
+                one_hot(state["agent_act"], self._n_acts),
                 state["agent_informs"] != NONE,
                 state["agent_requests"],
                 is_filled,

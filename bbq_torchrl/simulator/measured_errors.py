@@ -9,7 +9,7 @@ from torch.nn.utils.rnn import pad_sequence
 
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import NONE, fold, value_ids
-from bbq_torchrl.simulator.choices import one_of, rows
+from bbq_torchrl.simulator.choices import one_hot, rows
 from bbq_torchrl.simulator.error_model import ABOVE_IDS
 from bbq_torchrl.simulator.tracker import Utterance
 
@@ -118,7 +118,7 @@ class MeasuredErrors(Movable):
         heard = torch.where(heard == NONE, moved, heard)
         below, codes = self._insertion_below, self._insertion_codes
         code = _drawn(below, codes, asks_or_question, draws["insertion"])
-        is_new = one_of(code // ABOVE_IDS, self._n_slots) & (heard == NONE)
+        is_new = one_hot(code // ABOVE_IDS, self._n_slots) & (heard == NONE)
         return torch.where(is_new, (code % ABOVE_IDS)[..., None], heard)
 
     def _hear_requests(

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, NONE
-from bbq_torchrl.simulator.choices import index_below, one_of, rows
+from bbq_torchrl.simulator.choices import index_below, one_hot, rows
 
 if TYPE_CHECKING:
     from bbq_torchrl.domains import DomainTensors
@@ -102,7 +102,7 @@ class Tracker:
         self._has_choices = domain.has_choices
         self._act, self._acts = domain.action_act, domain.act
         self._slot = domain.action_slot.clamp(min=0)
-        self._is_slot = one_of(domain.action_slot, domain.n_slots)
+        self._is_slot = one_hot(domain.action_slot, domain.n_slots)
         self._complete = domain.complete
         slots = torch.arange(domain.n_slots, device=domain.records.device)
         self._is_ticket = slots == domain.ticket

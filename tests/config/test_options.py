@@ -19,10 +19,10 @@ from bbq_torchrl.options import (
     ConfigError,
     ExploreOption,
     agreement,
-    agreements,
     explorations,
     register,
     registry,
+    root,
     validate,
 )
 from bbq_torchrl.options.registry import options
@@ -142,7 +142,7 @@ def test_an_agent_must_be_able_to_explore_by_its_own_strategy():
 
 
 def test_two_options_agree_by_a_function_of_the_whole_configuration(monkeypatch):
-    monkeypatch.setattr(agreements, "_AGREEMENTS", dict(agreements._AGREEMENTS))
+    monkeypatch.setattr(root, "_AGREEMENTS", dict(root._AGREEMENTS))
 
     @agreement
     def never_two(config):

@@ -10,8 +10,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from hypothesis import assume, given, settings
-from hypothesis import strategies as st
+from hypothesis import assume, given, settings, strategies as st
 
 from bbq_torchrl.domains import Goal, load_domain, save_data
 from bbq_torchrl.domains.values import misspellings

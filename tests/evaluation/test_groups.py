@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
+from hypothesis import given, strategies as st
 
 from bbq_torchrl.evaluation.comparison import references
 from bbq_torchrl.evaluation.groups import label, read_groups

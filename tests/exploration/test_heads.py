@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from q_actor import ACTIONS, FEATURES, SPEC, heads_actor, observations
 from scipy.stats import chisquare
 from tensordict import TensorDict

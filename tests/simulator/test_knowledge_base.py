@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import torch
-from hypothesis import given, settings
-from hypothesis import strategies as st
+from hypothesis import given, settings, strategies as st
 from oracle.dialogue import value_order_of
 from oracle.knowledge_base import Records
 from oracle.small import SLOTS, small_domain

@@ -15,7 +15,7 @@ import torch
 
 from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, NONE
 from bbq_torchrl.people.dialogue import RULE_NAMES
-from bbq_torchrl.simulator.choices import one_of, pack, popcount
+from bbq_torchrl.simulator.choices import one_hot, pack, popcount
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -141,7 +141,7 @@ class Control:
         having = self._having(state["held"])
         rank = torch.where(having > 0, having, self._n_records + 1)
         rank = torch.where(open_, rank, self._n_records + 2)
-        first = one_of(rank.argmin(-1), rank.shape[-1]) & open_
+        first = one_hot(rank.argmin(-1), rank.shape[-1]) & open_
         return legal & self._is_answer & first[..., self._slot]
 
     def continues(self, legal: torch.Tensor) -> torch.Tensor:

@@ -152,7 +152,7 @@ class _Reader:
         )
         name = own.get("name", slot.replace("_", " "))
         if not isinstance(name, str) or not name.strip():
-            self.faults.append(f"{where}.name must be a text, got {shown(name)}")
+            self.faults.append(f"{where}.name must be text, got {shown(name)}")
             name = slot
         kind = own.get("kind")
         if kind is not None and kind not in KINDS:

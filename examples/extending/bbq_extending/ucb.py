@@ -14,7 +14,7 @@ from bbq_torchrl.options.settings import (
     per_replica,
     setting,
 )
-from bbq_torchrl.options.task import beside_dialogues
+from bbq_torchrl.options.task import replica_column
 
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
@@ -40,5 +40,5 @@ class UCB(ExploreOption):
         """The module that draws."""
         from bbq_extending.ucb_policy import UpperConfidence
 
-        coefficient = beside_dialogues(self.coefficient, task)
+        coefficient = replica_column(self.coefficient, task)
         return UpperConfidence(actor, coefficient=coefficient, draws=self.draws), {}

@@ -15,10 +15,10 @@ from bbq_torchrl.people.language import (
     Frame,
     TextError,
     Understander,
+    __main__ as command,
     model_file,
     read_lines,
 )
-from bbq_torchrl.people.language import __main__ as command
 from bbq_torchrl.people.language.asking import OPENING
 from bbq_torchrl.people.language.assemble import assemble, chosen
 from bbq_torchrl.people.language.cache import cached_understander

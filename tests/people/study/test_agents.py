@@ -7,8 +7,7 @@ from dataclasses import replace
 import pytest
 from acts import Acts
 
-from bbq_torchrl.people.study import StudyError, load_study, users
-from bbq_torchrl.people.study import agents as talkers
+from bbq_torchrl.people.study import StudyError, agents as talkers, load_study, users
 from bbq_torchrl.people.study.results import read_results
 from bbq_torchrl.people.study.simulate import simulate
 
