@@ -195,7 +195,7 @@ def _domains(given: Sequence[str]) -> dict[str, list[str]]:
 
 def _write(given: Namespace, command: str, cells: Sequence[Cell], missing: list[str]) -> str:
     """Writes the page, its figures, bench.csv and bench.json. Returns the page."""
-    from bbq_torchrl.evaluation.bench import bench_report, rows_of
+    from bbq_torchrl.evaluation.bench import bench_report, rows_of, setting_name
     from bbq_torchrl.evaluation.results import read_result, write_json
 
     rows, scripts, about = [], {}, []
@@ -206,9 +206,7 @@ def _write(given: Namespace, command: str, cells: Sequence[Cell], missing: list[
             rows += rows_of(*name, *cell.played())
             result = read_result(cell.folder)
             entry |= {"commit": result.commit, "clean": result.clean, "versions": result.versions}
-            scripts[f"{cell.setting[0]}, errors {cell.setting[1]}"] = (
-                result.scripted | result.references
-            )
+            scripts[setting_name(cell.setting)] = result.scripted | result.references
         about.append(entry)
     settings = list(dict.fromkeys(cell.setting for cell in cells))
     left_out = {

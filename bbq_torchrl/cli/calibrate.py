@@ -95,14 +95,14 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
         ConfigError: no probability gives that success rate, or the domain lacks the policy.
         ValueError or OSError: the corpus is damaged or missing.
     """
-    import torch
     from scipy.optimize import brentq
 
     from bbq_torchrl.envs import scripted_policy
     from bbq_torchrl.evaluation.rollouts import evaluate
     from bbq_torchrl.options.env import FullDomain
+    from bbq_torchrl.runs.build import set_up_process
     from bbq_torchrl.runs.checks import check_device
-    from bbq_torchrl.trainers import derive_seed, keep_freed_memory
+    from bbq_torchrl.trainers import derive_seed
     from bbq_torchrl.utils.statistics import binomial_standard_error
 
     option = config.env
@@ -122,8 +122,7 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
             f"{option.slot_error_prob}"
         )
     check_device(config.device)
-    torch.set_num_threads(config.threads)
-    keep_freed_memory()
+    set_up_process(config.threads)
     domain = config.domain.make()
     if config.policy not in domain.policies:
         names = ", ".join(domain.policies) or "the domain's scripted policies, but it has no policy"

@@ -89,19 +89,15 @@ def evaluation(config: EvaluateConfig) -> dict[str, Any]:
     Raises:
         ValueError or OSError: a missing policy, corpus or device.
     """
-    import torch
-
     from bbq_torchrl.domains.parts import RANDOM_POLICY
     from bbq_torchrl.evaluation.rollouts import evaluate
-    from bbq_torchrl.runs.build import make_domain
+    from bbq_torchrl.runs.build import make_domain, set_up_process
     from bbq_torchrl.runs.checks import check_device
     from bbq_torchrl.runs.loading import trained_policy
-    from bbq_torchrl.trainers import keep_freed_memory
     from bbq_torchrl.utils.statistics import binomial_standard_error
 
     check_device(config.device)
-    torch.set_num_threads(config.threads)
-    keep_freed_memory()
+    set_up_process(config.threads)
     folder = run_folder(config.policy)
     run = run_config(folder) if folder.is_dir() else None
     domain = make_domain(config)
@@ -121,11 +117,8 @@ def evaluation(config: EvaluateConfig) -> dict[str, Any]:
     is_privileged = run is None and config.policy in config.env.references(domain)
     replicas = 1 if run is None else run.replicas
     values = [] if run is None else replica_values(run)
-    env = config.env.make(
-        domain,
-        (replicas, min(config.batch, config.dialogues)),
-        device=config.device,
-    )
+    parallel = min(config.batch, config.dialogues)
+    env = config.env.make(domain, (replicas, parallel), device=config.device)
     mode: str | None = None
     policy: TensorDictModuleBase
     if run is None:

@@ -136,11 +136,11 @@ def bench_report(
     for one in settings:
         found = {agent: cells[agent, one] for agent in agents if (agent, one) in cells}
         if found:
-            parts += [f"### {_named(one)}", str(_setting_table(found, budgets))]
-            parts.append(_scripts(about["scripts"].get(_named(one), {})))
+            parts += [f"### {setting_name(one)}", str(_setting_table(found, budgets))]
+            parts.append(_scripts(about["scripts"].get(setting_name(one), {})))
     parts.append(NOTE)
     curves = {
-        _named(one): {
+        setting_name(one): {
             agent: _curve(cells[agent, one], budgets) for agent in agents if (agent, one) in cells
         }
         for one in settings
@@ -157,7 +157,8 @@ def bench_report(
     return Report("bench", "Benchmark", shown, figures, data)
 
 
-def _named(setting: Setting) -> str:
+def setting_name(setting: Setting) -> str:
+    """Returns the name of a setting, such as ``movie, errors 0``."""
     return f"{setting[0]}, errors {setting[1]}"
 
 

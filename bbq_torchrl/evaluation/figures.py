@@ -179,14 +179,12 @@ def draw_panels(
         title: the heading.
         marked: the group marked by a star.
     """
-    columns = min(2, len(panels))
-    figure, grid = _axes(rows=-(-len(panels) // columns), columns=columns)
-    axes = list(np.atleast_1d(grid).flat)
+    figure, axes = _panels(len(panels), 2)
     styles = (
         ("final", "final success", -0.1, COLORS[0], "o"),
         ("cumulative", "cumulative training success", 0.1, COLORS[1], "s"),
     )
-    for panel, (key, row) in zip(axes, panels.items(), strict=False):
+    for panel, (key, row) in zip(axes, panels.items(), strict=True):
         for number, group in enumerate(row.values()):
             for quantity, label, aside, color, marker in styles:
                 seeds, place = getattr(group, quantity), number + aside
@@ -201,10 +199,8 @@ def draw_panels(
         panel.set(xlabel=key, xticks=range(len(names)), xticklabels=names, ylim=(0, 1))
         panel.set_xlim(-0.5, len(names) - 0.5)
         panel.tick_params(axis="x", labelsize="small")
-    for panel in axes[len(panels) :]:
-        panel.remove()
     figure.suptitle(title)
-    return _finished(figure, axes[: len(panels)])
+    return _finished(figure, axes)
 
 
 def draw_bands(panels: Mapping[str, Mapping[str, Any]], *, title: str, xlabel: str) -> Figure:
@@ -216,22 +212,18 @@ def draw_bands(panels: Mapping[str, Mapping[str, Any]], *, title: str, xlabel: s
         title: the heading.
         xlabel: label of the places.
     """
-    columns = min(3, len(panels))
-    figure, grid = _axes(rows=-(-len(panels) // columns), columns=columns)
-    axes = list(np.atleast_1d(grid).flat)
+    figure, axes = _panels(len(panels), 3)
     labels = list(dict.fromkeys(label for curves in panels.values() for label in curves))
     colors = dict(zip(labels, _colors(len(labels)), strict=True))
-    for panel, (heading, curves) in zip(axes, panels.items(), strict=False):
+    for panel, (heading, curves) in zip(axes, panels.items(), strict=True):
         for label, (places, values, low, high) in curves.items():
             color, name = colors[label], label if label in labels else None
             panel.plot(places, values, color=color, lw=1.8, label=name)
             panel.fill_between(places, low, high, color=color, alpha=0.12, lw=0)
             labels = [other for other in labels if other != label]  # each is in the legend once
         panel.set(title=heading, xlabel=xlabel, ylim=(0, 1))
-    for panel in axes[len(panels) :]:
-        panel.remove()
     figure.suptitle(title)
-    return _finished(figure, axes[: len(panels)])
+    return _finished(figure, axes)
 
 
 def _colors(count: int) -> Sequence[Any]:
@@ -250,6 +242,16 @@ def _axes(rows: int = 1, columns: int = 1, *, shared: bool = False) -> tuple[Fig
     size = (max(8, 4 * columns), 4.5 if rows == 1 else 3.3 * rows)
     figure = Figure(figsize=size, layout="constrained")
     return figure, figure.subplots(rows, columns, sharex=shared, sharey="row" if shared else False)
+
+
+def _panels(count: int, most: int) -> tuple[Figure, list[Any]]:
+    """Returns a figure of so many panels, at most ``most`` in a row."""
+    columns = min(most, count)
+    figure, grid = _axes(rows=-(-count // columns), columns=columns)
+    axes = list(np.atleast_1d(grid).flat)
+    for panel in axes[count:]:
+        panel.remove()
+    return figure, axes[:count]
 
 
 def _seeds(group: Group) -> str:

@@ -12,6 +12,7 @@ from bbq_torchrl.evaluation.metrics import areas, booked, rounds_to_reach
 from bbq_torchrl.evaluation.results import reference_lines
 from bbq_torchrl.evaluation.runs import distinguishing_keys, names_option, read_run
 from bbq_torchrl.utils.reports import Report, Table
+from bbq_torchrl.utils.text import as_typed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -231,12 +232,6 @@ def label(
         if key in keys.difference(options)
     ]
     return ", ".join(words)
-
-
-def as_typed(value: Any) -> str:
-    """Returns a value as written on a command line."""
-    text = "null" if value is None else str(value)
-    return text.lower() if isinstance(value, bool) else text
 
 
 def _distinguishing(

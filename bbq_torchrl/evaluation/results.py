@@ -14,7 +14,7 @@ from bbq_torchrl.utils.statistics import binomial_standard_error
 from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
     from pathlib import Path
 
 LAST = 5
@@ -218,19 +218,20 @@ def flat_numbers(result: RunResult) -> dict[str, float]:
     of_replicas = plain.pop("per_replica")
     for key in ("seed", "rounds", "replicas"):
         del plain[key]
-    numbers = dict(_leaves(plain))
+    numbers = flat(plain, "/")
     for item in of_replicas:
-        replica = item.pop("replica")
-        numbers |= {f"{name}/replica_{replica}": value for name, value in _leaves(item)}
-    return numbers
+        end = f"/replica_{item.pop('replica')}"
+        numbers |= {f"{name}{end}": value for name, value in flat(item, "/").items()}
+    return {name: value for name, value in numbers.items() if isinstance(value, (int, float))}
 
 
-def _leaves(plain: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, float]]:
+def flat(plain: Mapping[str, Any], joint: str = ".", prefix: str = "") -> dict[str, Any]:
+    """Returns the values of nested mappings by their keys, joined: ``agent.lr``."""
+    leaves: dict[str, Any] = {}
     for name, value in plain.items():
-        if isinstance(value, dict):
-            yield from _leaves(value, f"{prefix}{name}/")
-        elif isinstance(value, (int, float)):
-            yield f"{prefix}{name}", value
+        key = f"{prefix}{name}"
+        leaves |= flat(value, joint, f"{key}{joint}") if isinstance(value, dict) else {key: value}
+    return leaves
 
 
 def reference_lines(

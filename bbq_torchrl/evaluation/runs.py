@@ -12,7 +12,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.evaluation.metrics import read_metrics
-from bbq_torchrl.evaluation.results import read_result
+from bbq_torchrl.evaluation.results import flat, read_result
 from bbq_torchrl.utils.files import CONFIG, METRICS, RESULT, folder_of, numbers_in_order, read_yaml
 from bbq_torchrl.utils.text import sentence
 
@@ -69,12 +69,12 @@ class Replica:
 
         Keys with a list for the replicas have this replica's value.
         """
-        flat = {
+        own = {
             key: value
-            for key, value in _flat(self.config)
+            for key, value in flat(self.config).items()
             if key.partition(".")[0] not in _OF_A_SEED and key not in _OF_A_MACHINE
         }
-        return flat | self.own.values | {"protocol.rounds": self.result.rounds}
+        return own | self.own.values | {"protocol.rounds": self.result.rounds}
 
     @property
     def member(self) -> tuple[int, int, str, int]:
@@ -205,15 +205,6 @@ def read_run(folder: Path) -> list[Replica]:
         raise ValueError(f"{folder / CONFIG} is not the configuration of a run")
     replicas = range(result.replicas)
     return [Replica(folder, number, config, result, metrics) for number in replicas]
-
-
-def _flat(config: Mapping[str, Any], prefix: str = "") -> list[tuple[str, Any]]:
-    """Returns dotted keys and values of nested mappings."""
-    leaves: list[tuple[str, Any]] = []
-    for name, value in config.items():
-        key = f"{prefix}{name}"
-        leaves += _flat(value, f"{key}.") if isinstance(value, dict) else [(key, value)]
-    return leaves
 
 
 _OF_THE_PAPER = {"bbqn": "BBQN", "bootstrap": "DQN-Bootstrap", "dqn": "DQN"}

@@ -345,13 +345,9 @@ class GP(AgentOption):
 
     def check(self) -> None:
         """Refuses settings of a kernel for a trunk."""
-        for key in ("inducing", "kernel", "lengthscale", "value_std"):
-            default, got = getattr(type(self), key), getattr(self, key)
-            if self.features == "trunk" and got != default:
-                raise ConfigError(
-                    f"agent.{key} must be {default} with agent.features=trunk, which has no "
-                    f"kernel, got {got}"
-                )
+        if self.features == "trunk":
+            keys = ("inducing", "kernel", "lengthscale", "value_std")
+            self.refuse_changes(keys, "agent.features=trunk", "which has no kernel")
 
     def make_actor(self, task: Task) -> QValueActor:
         """Gaussian processes on Nyström features, or on a trunk."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from bbq_torchrl.options.registry import Option, register
@@ -165,32 +165,22 @@ class FullDomain(EnvOption):
         """Refuses invalid users, and error keys that would have no effect."""
         profiles = self._profiles()
         is_text = self.level == "text"
-        if is_text and self.errors != "drawn":
-            raise ConfigError(
-                f"env.errors must be drawn with env.level=text, whose errors are those of "
-                f"sentences, got {self.errors!r}"
-            )
-        if is_text and self.compile_turns:
-            raise ConfigError("env.compile_turns must be false with env.level=text, got true")
-        if not is_text and self.ask_below is not None:
-            raise ConfigError(
-                f"env.ask_below must be null with env.level=act, which has no sentences to ask "
-                f"about, got {self.ask_below}"
-            )
-        if not is_text and self.errors == "drawn":
-            return
+        if is_text:
+            self.refuse_changes(["errors"], "env.level=text", "whose errors are those of sentences")
+            if self.compile_turns:
+                raise ConfigError("env.compile_turns must be false with env.level=text, got true")
+        else:
+            why = "which has no sentences to ask about"
+            self.refuse_changes(["ask_below"], "env.level=act", why)
+            if self.errors == "drawn":
+                return
         source = "env.level=text" if is_text else "env.errors=measured"
         if any(kind.slot_error_prob for kind in profiles):
             raise ConfigError(
                 f"env.users must have no slot_error_prob with {source}, which has other errors"
             )
-        default = {item.name: item.default for item in fields(self)}
-        for key in ("slot_error_prob", "slot_error_mode", "intent_error_prob"):
-            if getattr(self, key) != default[key]:
-                raise ConfigError(
-                    f"env.{key} must be {'null' if default[key] is None else default[key]} with "
-                    f"{source}, which has other errors, got {getattr(self, key)}"
-                )
+        keys = ("slot_error_prob", "slot_error_mode", "intent_error_prob")
+        self.refuse_changes(keys, source, "which has other errors")
 
     def _profiles(self, domain: Domain | None = None) -> tuple[Profile, ...]:
         """Returns the profiles of the users; none for a mix by name.

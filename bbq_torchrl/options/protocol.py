@@ -90,23 +90,17 @@ class ProtocolOption(Option):
                 f"got {self.capacity}"
             )
         if self.updates_per_round is not None:
-            if self.epochs != type(self).epochs:
-                raise ConfigError(
-                    f"protocol.epochs must be {type(self).epochs} with protocol.updates_per_round="
-                    f"{self.updates_per_round}, which takes its place, got {self.epochs}"
-                )
+            given = f"protocol.updates_per_round={self.updates_per_round}"
+            self.refuse_changes(["epochs"], given, "which takes its place")
             if self.updates_per_round < self.freezes:
                 raise ConfigError(
                     f"protocol.updates_per_round must be at least protocol.freezes "
                     f"({self.freezes}), got {self.updates_per_round}"
                 )
-        if self.lr_final == 1 and self.lr_decay_from != type(self).lr_decay_from:
-            raise ConfigError(
-                f"protocol.lr_decay_from must be {type(self).lr_decay_from} with "
-                f"protocol.lr_final={self.lr_final}, which keeps learning rates constant, got "
-                f"{self.lr_decay_from}"
-            )
-        if self.lr_final != 1 and self.lr_decay_from == 1:
+        if self.lr_final == 1:
+            given = f"protocol.lr_final={self.lr_final}"
+            self.refuse_changes(["lr_decay_from"], given, "which keeps learning rates constant")
+        elif self.lr_decay_from == 1:
             raise ConfigError(
                 f"protocol.lr_decay_from must be below 1 with protocol.lr_final={self.lr_final}: "
                 "no round would be left in which learning rates fall"

@@ -16,10 +16,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from bbq_torchrl.options.settings import REQUIRED, Allowed, ConfigError
-from bbq_torchrl.utils.text import shown
+from bbq_torchrl.utils.text import as_typed, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Iterable, Mapping
 
 
 ENTRY_POINTS = "bbq_torchrl.options"
@@ -60,6 +60,26 @@ class Option(ABC):
         Raises:
             ConfigError: one sentence that names the key, its value and what is allowed.
         """
+
+    def refuse_changes(self, keys: Iterable[str], setting: str, reason: str) -> None:
+        """Refuses other values than the default of keys that a setting deprives of effect.
+
+        Args:
+            keys: the keys.
+            setting: the setting, such as ``spike.dialogues=0``.
+            reason: the reason in the message, such as ``which spikes nothing``.
+
+        Raises:
+            ConfigError: a key has another value.
+        """
+        for key in keys:
+            value, default = getattr(self, key), getattr(type(self), key)
+            if value != default:
+                got = shown(value) if isinstance(value, str) else as_typed(value)
+                raise ConfigError(
+                    f"{self.group}.{key} must be {as_typed(default)} with {setting}, {reason}, "
+                    f"got {got}"
+                )
 
 
 _OPTIONS: dict[str, dict[str, type[Option]]] = {group: {} for group in GROUPS}

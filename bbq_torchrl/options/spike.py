@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, ClassVar
 
@@ -22,7 +21,6 @@ from bbq_torchrl.options.settings import (
     other_default,
     setting,
 )
-from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from torch import nn
@@ -63,18 +61,11 @@ class SpikeOption(Option):
 
     def check(self) -> None:
         """Refuses keys without effect."""
-        for item in fields(SpikeOption):
-            value, default = getattr(self, item.name), getattr(type(self), item.name)
-            if not self.dialogues and item.name != "dialogues" and value != default:
-                raise ConfigError(
-                    f"spike.{item.name} must be {json.dumps(default)} with spike.dialogues=0, "
-                    f"which spikes nothing, got {shown(value)}"
-                )
-        if self.drop_above is None and self.drop_window != type(self).drop_window:
-            raise ConfigError(
-                f"spike.drop_window must be {type(self).drop_window} with spike.drop_above=null, "
-                f"which needs no window, got {self.drop_window}"
-            )
+        if not self.dialogues:
+            others = [item.name for item in fields(SpikeOption) if item.name != "dialogues"]
+            self.refuse_changes(others, "spike.dialogues=0", "which spikes nothing")
+        if self.drop_above is None:
+            self.refuse_changes(["drop_window"], "spike.drop_above=null", "which needs no window")
         if self.drop_above is not None and not self.protect:
             raise ConfigError(
                 "spike.drop_above cannot be combined with spike.protect=false: unprotected "
@@ -85,11 +76,8 @@ class SpikeOption(Option):
                 "spike.margin must be 0 with spike.protect=false, which does not tell spiked "
                 f"transitions from others, got {self.margin:g}"
             )
-        if not self.margin and self.margin_factor != type(self).margin_factor:
-            raise ConfigError(
-                f"spike.margin_factor must be {type(self).margin_factor:g} with spike.margin=0, "
-                f"which imitates nothing, got {self.margin_factor:g}"
-            )
+        if not self.margin:
+            self.refuse_changes(["margin_factor"], "spike.margin=0", "which imitates nothing")
 
     def make(self, policy: Policy) -> Spike:
         """Makes the part that fills the buffer with the policy's dialogues."""

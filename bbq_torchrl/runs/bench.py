@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
+from bbq_torchrl.evaluation.bench import setting_name
 from bbq_torchrl.evaluation.results import write_json
 from bbq_torchrl.evaluation.rollouts import evaluation_rollouts
 from bbq_torchrl.options.settings import ConfigError
@@ -58,7 +59,7 @@ class Cell:
     @property
     def name(self) -> str:
         """Such as ``dqn on movie, errors 0``."""
-        return f"{self.agent} on {self.setting[0]}, errors {self.setting[1]}"
+        return f"{self.agent} on {setting_name(self.setting)}"
 
     @property
     def is_played(self) -> bool:

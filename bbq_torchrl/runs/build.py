@@ -64,9 +64,9 @@ def task_of(config: Config, env: EnvBase) -> Task:
     )
 
 
-def set_up_process(config: Config) -> None:
+def set_up_process(threads: int) -> None:
     """Sets torch's threads, keeps freed memory, and silences TorchRL's notices."""
-    torch.set_num_threads(config.threads)
+    torch.set_num_threads(threads)
     keep_freed_memory()
     if "RL_LOGGING_LEVEL" not in os.environ:  # TorchRL's variable, set by the user
         logging.getLogger("torchrl").setLevel(logging.WARNING)

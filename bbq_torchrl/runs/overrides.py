@@ -141,13 +141,14 @@ def _misread(overrides: Sequence[str], root: type) -> str | None:
 
 def without_sweeps(overrides: Sequence[str]) -> list[str]:
     """Returns the overrides that all jobs of a sweep share."""
-
-    def is_swept(override: str) -> bool:
-        with suppress(ConfigError, ValueError, RecursionError, OverflowError):
-            return read_override(override).is_sweep_override()
-        return False
-
     return list(filterfalse(is_swept, overrides))
+
+
+def is_swept(override: str) -> bool:
+    """Returns whether an override has several values; False if it cannot be read."""
+    with suppress(ConfigError, ValueError, RecursionError, OverflowError):
+        return read_override(override).is_sweep_override()
+    return False
 
 
 def several_values(override: str, root: type) -> str:

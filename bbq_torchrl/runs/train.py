@@ -76,7 +76,7 @@ def run(
 
     with folders.run_lock(folder), build.opened_loggers(config, folder) as loggers:
         code = build.checkout()  # at the start, since the code may change during the run
-        build.set_up_process(config)
+        build.set_up_process(config.threads)
         resume.save_config(dataclasses.replace(config, resume=None), folder / CONFIG)
         domain = build.make_domain(config) if domain is None else domain
         if spiking is None and config.spike.dialogues:

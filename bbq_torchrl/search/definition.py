@@ -17,8 +17,6 @@ from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hydra.core.override_parser.overrides_parser import OverridesParser
-from hydra.errors import HydraException
 from omegaconf import OmegaConf
 
 from bbq_torchrl.options.registry import config_folders, options
@@ -34,7 +32,7 @@ from bbq_torchrl.options.settings import (
     setting,
 )
 from bbq_torchrl.runs.compose import compose, load_yaml
-from bbq_torchrl.runs.overrides import too_large, unreadable
+from bbq_torchrl.runs.overrides import is_swept, too_large, unreadable
 from bbq_torchrl.search.space import Parameter, as_entry, parse_parameter
 from bbq_torchrl.utils.text import conceal_environment, sentence, shown
 
@@ -174,7 +172,11 @@ def compose_search(arguments: Sequence[str]) -> Search:
         elif key != SEARCH:
             fixed[key.lstrip("+")] = argument
     for key, override in fixed.items():
-        _refuse_several(key, override)
+        if is_swept(override):
+            raise ConfigError(
+                f"{sentence(override)} has several values: in a search write "
+                f"{_SPACE}{key}={{type: categorical, choices: [...]}}"
+            )
         if key.partition(".")[0].partition("/")[0] in _REFUSED:
             raise ConfigError(f"{sentence(override)} cannot be part of a search")
         given.pop(key, None)
@@ -186,19 +188,6 @@ def compose_search(arguments: Sequence[str]) -> Search:
     search = Search(name, checked, space, tuple(fixed.values()))
     _ = search.corners  # composed now, to refuse invalid values
     return search
-
-
-def _refuse_several(key: str, override: str) -> None:
-    """Refuses ``key=1,2``, which a search writes as choices."""
-    try:
-        several = OverridesParser.create().parse_override(override).is_sweep_override()
-    except HydraException:
-        return  # refused when composed
-    if several:
-        raise ConfigError(
-            f"{sentence(override)} has several values: in a search write "
-            f"{_SPACE}{key}={{type: categorical, choices: [...]}}"
-        )
 
 
 def _read(chosen: str) -> tuple[dict[str, Any], dict[str, Any], dict[str, str]]:

@@ -88,6 +88,12 @@ def shown(value: object) -> str:
     return _cut(_without_secrets(written), _VALUE)
 
 
+def as_typed(value: object) -> str:
+    """Returns a value as written on a command line."""
+    text = "null" if value is None else str(value)
+    return text.lower() if isinstance(value, bool) else text
+
+
 def sentence(error: object) -> str:
     r"""Returns the message of an error: one line, or a line for each of several faults.
 

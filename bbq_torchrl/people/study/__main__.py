@@ -54,7 +54,12 @@ def _parser() -> argparse.ArgumentParser:
         required=True, metavar="serve | simulate | report | participants | backup | forget | power"
     )
 
-    serve = commands.add_parser("serve", help="serve a study to browsers")
+    def add(name: str, run: Callable[[argparse.Namespace], None], meaning: str) -> Any:
+        command = commands.add_parser(name, help=meaning)
+        command.set_defaults(command=run)
+        return command
+
+    serve = add("serve", _serve, "serve a study to browsers")
     serve.add_argument("study", type=_path, help="the study file; its data is next to it")
     serve.add_argument(
         "--talker",
@@ -66,11 +71,9 @@ def _parser() -> argparse.ArgumentParser:
     serve.add_argument(
         "--port", type=between(int, 1, 65_535), default=8000, help="port to listen at"
     )
-    serve.set_defaults(command=_serve)
 
-    simulate = commands.add_parser(
-        "simulate", help="play the study with simulated users, and report it as such"
-    )
+    meaning = "play the study with simulated users, and report it as such"
+    simulate = add("simulate", _simulate, meaning)
     simulate.add_argument(
         "study", type=Path, help="the study file; all that is made has -simulated in its name"
     )
@@ -83,39 +86,24 @@ def _parser() -> argparse.ArgumentParser:
         "of the domain",
     )
     simulate.add_argument(
-        "--seed",
-        type=between(int, 0, 2**32 - 1),
-        default=0,
-        help="of plan, users and ratings",
+        "--seed", type=between(int, 0, 2**32 - 1), default=0, help="of plan, users and ratings"
     )
     simulate.add_argument("--out", type=_path, help="folder; without it, <study>-simulated-report")
-    simulate.set_defaults(command=_simulate)
 
-    report = commands.add_parser("report", help="write report, figures and data")
-    report.add_argument("study", type=_path, help="the study file")
+    report = add("report", _report, "write report, figures and data")
+    meaning = "write who takes part, by the ids of the join link, to pay them"
+    participants = add("participants", _participants, meaning)
+    backup = add("backup", _backup, "copy the data, also while the study is served")
+    forget = add("forget", _forget, "delete all that a person said and rated")
+    for command in (report, participants, backup, forget):
+        command.add_argument("study", type=_path, help="the study file")
     report.add_argument("--out", type=_path, help="folder; without it, <study>-report")
-    report.set_defaults(command=_report)
-
-    participants = commands.add_parser(
-        "participants", help="write who takes part, by the ids of the join link, to pay them"
-    )
-    participants.add_argument("study", type=_path, help="the study file")
-    participants.add_argument(
-        "--out", type=_path, help="file; without it, <study>-participants.csv"
-    )
-    participants.set_defaults(command=_participants)
-
-    backup = commands.add_parser("backup", help="copy the data, also while the study is served")
-    backup.add_argument("study", type=_path, help="the study file")
+    file = "file; without it, <study>-participants.csv"
+    participants.add_argument("--out", type=_path, help=file)
     backup.add_argument("copy", type=_path, help="the copy, a file that does not exist")
-    backup.set_defaults(command=_backup)
-
-    forget = commands.add_parser("forget", help="delete all that a person said and rated")
-    forget.add_argument("study", type=_path, help="the study file")
     forget.add_argument("participant", help="the number on your page, or the person's link")
-    forget.set_defaults(command=_forget)
 
-    power = commands.add_parser("power", help="how likely a study finds a difference")
+    power = add("power", _power, "how likely a study finds a difference")
     power.add_argument("better", type=between(float, 0.001, 0.999), help="success of one agent")
     power.add_argument("worse", type=between(float, 0.001, 0.999), help="success of the other")
     power.add_argument("people", type=between(int, 1, 100_000), help="who each meet both")
@@ -123,15 +111,10 @@ def _parser() -> argparse.ArgumentParser:
         "--sessions", type=between(int, 1, 50), default=1, help="of a person with each agent"
     )
     power.add_argument("--pairs", type=between(int, 1, 1_000), default=1, help="pairs declared")
-    power.add_argument(
-        "--person-sd",
-        type=between(float, 0.0, 10.0),
-        default=1.0,
-        help="how much people differ, in log-odds",
-    )
+    how = "how much people differ, in log-odds"
+    power.add_argument("--person-sd", type=between(float, 0.0, 10.0), default=1.0, help=how)
     power.add_argument("--simulations", type=between(int, 100, 1_000_000), default=4_000)
     power.add_argument("--seed", type=between(int, 0, 2**32 - 1), default=0)
-    power.set_defaults(command=_power)
     return parser
 
 

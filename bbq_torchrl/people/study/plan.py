@@ -9,6 +9,7 @@ from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from bbq_torchrl.checks import PROBABILITY, TEXT, integers
 from bbq_torchrl.people.dialogue import RULE_NAMES
 from bbq_torchrl.people.study.address import ALLOWED, Address
 from bbq_torchrl.utils.files import read_yaml
@@ -216,16 +217,12 @@ def _key_faults(content: Mapping[str, Any]) -> Iterator[str]:
 def _wrong_values(given: Mapping[str, Any], agents: Mapping[str, str]) -> dict[str, str]:
     """Returns key to sentence of each value that is of another kind than its key's."""
 
-    def are_limits(value: Any) -> bool:
+    def of_agents(value: Any, holds: Callable[[Any], bool]) -> bool:
         is_known = isinstance(value, dict) and set(value) <= set(agents or value)
-        return is_known and all(map(_is_probability, value.values()))
+        return is_known and all(map(holds, value.values()))
 
     def are_rules(value: Any) -> bool:
-        is_known = isinstance(value, dict) and set(value) <= set(agents or value)
-        return is_known and all(
-            isinstance(names, list) and all(name in RULE_NAMES for name in names)
-            for names in value.values()
-        )
+        return isinstance(value, list) and all(name in RULE_NAMES for name in value)
 
     kinds: dict[str, tuple[Callable[[Any], bool], str]] = {
         "name": (_is_text, "be text, not blank"),
@@ -239,9 +236,12 @@ def _wrong_values(given: Mapping[str, Any], agents: Mapping[str, str]) -> dict[s
             "be a list of pairs of agents, [] for none",
         ),
         "domain": (_is_text, _DOMAIN),
-        "ask_below": (are_limits, "map agents of the study to numbers between 0 and 1"),
+        "ask_below": (
+            lambda value: of_agents(value, PROBABILITY.test),
+            "map agents of the study to numbers between 0 and 1",
+        ),
         "control": (
-            are_rules,
+            lambda value: of_agents(value, are_rules),
             f"map agents of the study to lists of {', '.join(RULE_NAMES)}",
         ),
         "participants": _count(10_000),
@@ -249,11 +249,8 @@ def _wrong_values(given: Mapping[str, Any], agents: Mapping[str, str]) -> dict[s
         "max_turns": _count(500),
         "idle_minutes": _count(10_080),
         "joins_per_minute": _count(10_000),
-        "retention": (
-            lambda value: isinstance(value, str),
-            "be text: until when the data are kept",
-        ),
-        "url": (lambda value: isinstance(value, str), f"be {ALLOWED}"),
+        "retention": (TEXT.test, "be text: until when the data are kept"),
+        "url": (TEXT.test, f"be {ALLOWED}"),
         "join_parameters": (
             _are_parameters,
             "be a list of distinct names of parameters, such as [PROLIFIC_PID]: letters, digits, "
@@ -282,7 +279,7 @@ def _domain(file: Path, name: str) -> Domain:
 
 
 def _goal_faults(chosen: Any, attainable: list[int], count: int, sessions: int) -> Iterator[str]:
-    if not (isinstance(chosen, list) and all(_is_whole(n, 1, count) for n in chosen)):
+    if not (isinstance(chosen, list) and all(map(integers(1, count).test, chosen))):
         allowed = f"{_ATTAINABLE} or a list of numbers between 1 and {count}"
         yield f"goals must be {allowed}, got {shown(chosen)}"
         return
@@ -299,8 +296,7 @@ def _goal_faults(chosen: Any, attainable: list[int], count: int, sessions: int) 
 
 
 def _count(most: int) -> tuple[Callable[[Any], bool], str]:
-    allowed = f"be a whole number between 1 and {most}"
-    return (lambda value: _is_whole(value, 1, most)), allowed
+    return integers(1, most).test, f"be a whole number between 1 and {most}"
 
 
 def _are_sources(value: Any) -> bool:
@@ -318,14 +314,6 @@ def _are_parameters(value: object) -> bool:
 
 def _is_text(value: object) -> bool:
     return isinstance(value, str) and bool(value.strip())
-
-
-def _is_whole(value: object, low: int, high: int) -> bool:
-    return isinstance(value, int) and not isinstance(value, bool) and low <= value <= high
-
-
-def _is_probability(value: object) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool) and 0 <= value <= 1
 
 
 def _pair_faults(pairs: list[Any], agents: Mapping[str, str]) -> Iterator[str]:
