@@ -119,7 +119,7 @@ for _new, _olds in _NAMES_OF.items():
 """Old module -> the modules that now have its names."""
 
 
-class _Stand(ModuleType):
+class _OldModule(ModuleType):
     """A removed module, which takes its names from the new modules."""
 
     def __getattr__(self, name: str) -> Any:
@@ -182,6 +182,6 @@ def _warn(old: str, new: str) -> None:
 def install(package: str) -> None:
     """Makes the old names of a package importable, without importing anything."""
     for old in MODULES:
-        sys.modules.setdefault(f"{package}.{old}", _Stand(f"{package}.{old}"))
+        sys.modules.setdefault(f"{package}.{old}", _OldModule(f"{package}.{old}"))
     if not any(isinstance(finder, _Finder) for finder in sys.meta_path):
         sys.meta_path.append(_Finder(package))

@@ -18,7 +18,7 @@ from bbq_torchrl.envs.policies import scripted_policy
 from bbq_torchrl.simulator import MeasuredErrors
 from bbq_torchrl.simulator.measured_errors import (
     CONTEXTS,
-    MOST_REQUESTS,
+    MAX_REQUESTS,
     context_of,
     questions_of,
 )
@@ -227,7 +227,7 @@ class _Recorder:
         for slot in [] if moved else new[:1]:
             name = f"{slots[slot]}={text(slot, heard_informs[slot])}"
             counted["inserted", asked, name] += 1
-        count = min(sum(requests), MOST_REQUESTS)
+        count = min(sum(requests), MAX_REQUESTS)
         for slot, name in enumerate(slots):
             said_ = "said" if requests[slot] else "unsaid"
             pair = self._requests[f"{count} {said_} {CONTEXTS[contexts[slot]]}", name]

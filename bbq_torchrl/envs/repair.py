@@ -17,10 +17,10 @@ if TYPE_CHECKING:
 MEMORY = "memory"
 """The entry with the policy's memory."""
 
-MOST_CONFIRMS = 12
+MAX_CONFIRMS = 12
 """The limit on asking the user to continue."""
 
-MOST_OFFERS = 3
+MAX_OFFERS = 3
 """The limit on offers of a booking."""
 
 
@@ -37,8 +37,8 @@ class RepairPolicy(TensorDictModuleBase):
        matches.
     4. The user asks a question: answer it.
     5. The user may have more to say: inform the ticket once, then ``confirm_answer`` until the user
-       gives thanks, at most :data:`MOST_CONFIRMS` times.
-    6. Offer the booking, at most :data:`MOST_OFFERS` times.
+       gives thanks, at most :data:`MAX_CONFIRMS` times.
+    6. Offer the booking, at most :data:`MAX_OFFERS` times.
     7. End the dialogue.
 
     Its memory of requests, informs and offers is a nested TensorDict, the entry :data:`MEMORY`. It
@@ -103,7 +103,7 @@ class RepairPolicy(TensorDictModuleBase):
         told = memory["told"] | told & ~has_offered
         offers = memory["offers"] + has_offered
         confirms = memory["confirms"] + flags[..., column("agent_act", "confirm_answer"), None]
-        confirms = torch.where(is_thanked, MOST_CONFIRMS, confirms)
+        confirms = torch.where(is_thanked, MAX_CONFIRMS, confirms)
 
         has_answered = told[..., self._answers].any(-1, keepdim=True)
         is_misheard = nothing_matches & ~has_answered
@@ -112,14 +112,14 @@ class RepairPolicy(TensorDictModuleBase):
         begins = has_offered | (is_misheard & ~left.any(-1, keepdim=True))
         asked, left = asked & ~begins, torch.where(begins, again, left)
 
-        may_confirm = confirms < MOST_CONFIRMS
+        may_confirm = confirms < MAX_CONFIRMS
         reasons = [
             questions[..., self._askable] & is_first,
             left & (is_misheard | (offers > 0)),
             questions[..., self._answers],
             may_confirm & ~filled[..., self._ticket, None],
             may_confirm,
-            offers < MOST_OFFERS,
+            offers < MAX_OFFERS,
         ]
         ends = torch.ones_like(is_first)
         is_open = torch.cat([torch.cat(reasons, -1) & ~(has_offered & is_thanked), ends], -1)

@@ -25,7 +25,7 @@ CONTEXTS = ("opening", "asked", "beside", "corrected", "told")
 """The contexts in which a user mentions a slot: the opening; after the agent has requested the
 slot; has requested another slot; has informed the slot; any other."""
 
-MOST_REQUESTS = 3
+MAX_REQUESTS = 3
 """Turns with this many requests or more count as one kind."""
 
 _MEAN_WEIGHT = 2.0  # pseudo-counts of the slot's mean rates, added to the counts of a value
@@ -125,7 +125,7 @@ class MeasuredErrors(Movable):
         self, requests: torch.Tensor, context: torch.Tensor, draws: TensorDictBase
     ) -> torch.Tensor:
         """Returns the slots heard as requested, bool ``[*B, S]``."""
-        count = requests.sum(-1, keepdim=True).clamp(max=MOST_REQUESTS)
+        count = requests.sum(-1, keepdim=True).clamp(max=MAX_REQUESTS)
         row = (count * 2 + requests.long()) * len(CONTEXTS) + context
         row = row * self._n_slots + self._slots
         return draws["request_error"] < self._request_rate.take(row)
@@ -173,7 +173,7 @@ class MeasuredErrors(Movable):
     def _request_rates(self, counts: Mapping[str, Any]) -> None:
         rates = [
             _rate(counts.get(f"{count} {said} {context}", {}), said == "said", self._names)
-            for count in range(MOST_REQUESTS + 1)
+            for count in range(MAX_REQUESTS + 1)
             for said in ("unsaid", "said")
             for context in CONTEXTS
         ]

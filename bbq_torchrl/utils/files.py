@@ -94,7 +94,7 @@ def write_bytes(path: Path, content: bytes, mode: int = 0o666) -> None:
     os.replace(temporary, path)
 
 
-_MOST_VALUES = 10_000  # that aliases may expand to; a file without aliases may have more
+_MAX_VALUES = 10_000  # that aliases may expand to; a file without aliases may have more
 
 
 class _UniqueKeyLoader(yaml.SafeLoader):
@@ -161,9 +161,9 @@ def _checked(loader: yaml.SafeLoader) -> yaml.Node | None:
     node: yaml.Node | None = loader.get_single_node()
     if node is not None:
         counts: dict[int, int | None] = {}
-        if _count(node, counts) - len(counts) > _MOST_VALUES:
+        if _count(node, counts) - len(counts) > _MAX_VALUES:
             raise ValueError(
-                f"its aliases expand to more than {_MOST_VALUES} values: write the values out"
+                f"its aliases expand to more than {_MAX_VALUES} values: write the values out"
             )
     return node
 

@@ -54,7 +54,7 @@ TALK = 0.8
 THIN = 0.03
 THIN_LOSS = 0.7
 
-MOST_SLOTS = 11
+MAX_SLOTS = 11
 
 
 @dataclass
@@ -192,7 +192,7 @@ class RecordWriter:
         if self.dice.chance(THIN):
             few = self.dice.sample(kept, self.dice.pick([1, 2, 3]))
             kept = [slot for slot in kept if slot in few]
-        return kept[:MOST_SLOTS]
+        return kept[:MAX_SLOTS]
 
     def _next_theaters(self, city: str, count: int) -> list[tuple[str, str]]:
         """Returns theaters of the city in turn, so that all are used."""

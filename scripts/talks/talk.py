@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.dialogue.partner import Answer, Partner
     from talks.person import Person, Said
 
-_MOST_TEXTS = 25
+_MAX_TEXTS = 25
 _RESERVED = frozenset(RESERVED_TEXT.values())
 _FAULTS = ("dropped", "wrong", "repeated", "turned_round", "cut_off")
 
@@ -48,7 +48,7 @@ class Talk:
     def play(self, seed: int) -> None:
         """Talks until somebody ends it."""
         answer: Answer | None = None
-        for turn in range(_MOST_TEXTS):
+        for turn in range(_MAX_TEXTS):
             said = self._person.say(answer, self._held(answer))
             memory = None if answer is None else answer.memory
             now = self._partner.reply(memory, said.text, seed * 1000 + turn)

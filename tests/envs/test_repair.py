@@ -10,7 +10,7 @@ from tensordict import TensorDict
 
 from bbq_torchrl.domains import ScriptedPolicySpec
 from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, RepairPolicy, scripted_policy
-from bbq_torchrl.envs.repair import MOST_CONFIRMS, MOST_OFFERS
+from bbq_torchrl.envs.repair import MAX_CONFIRMS, MAX_OFFERS
 from bbq_torchrl.evaluation.rollouts import evaluate, evaluation_rollouts
 
 SLOTS = ["city", "date", "zip"]
@@ -65,11 +65,11 @@ def test_the_first_reason_that_there_is_decides(movie, turns, action):
 def test_it_continues_and_offers_a_limited_number_of_times(movie):
     env = DialogueEnv(movie)
     silent = "agent_act:confirm_answer kb_match:all filled:ticket"
-    played = acts(env, "kb_match:all filled:ticket", *[silent] * MOST_CONFIRMS)
-    assert played == ["confirm_answer"] * MOST_CONFIRMS + ["inform(taskcomplete)"]
+    played = acts(env, "kb_match:all filled:ticket", *[silent] * MAX_CONFIRMS)
+    assert played == ["confirm_answer"] * MAX_CONFIRMS + ["inform(taskcomplete)"]
     over, denied = "agent_act:inform user_act:thanks kb_match:all", f"{OFFERED} user_act:deny"
-    assert acts(env, "", over, *[denied] * MOST_OFFERS)[1:] == (
-        ["inform(taskcomplete)"] * MOST_OFFERS + ["thanks"]
+    assert acts(env, "", over, *[denied] * MAX_OFFERS)[1:] == (
+        ["inform(taskcomplete)"] * MAX_OFFERS + ["thanks"]
     )
 
 

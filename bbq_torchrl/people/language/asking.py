@@ -56,7 +56,7 @@ def asked_slot(question: Frame) -> str | None:
     return question.requests[0] if question.requests else None
 
 
-MOST_ASKS = 2
+MAX_ASKS = 2
 """The most times to ask again in a row: a mistake can be corrected, endless asking cannot."""
 
 
@@ -112,7 +112,7 @@ class Asking:
             below: the confidence below which it asks; where a name is unclear it asks at any.
                 ``None`` for what is usual to who understood, 0 for never.
         """
-        if self.times >= MOST_ASKS or below == 0:
+        if self.times >= MAX_ASKS or below == 0:
             return False
         if below is None:
             return nlu.asks(understood)

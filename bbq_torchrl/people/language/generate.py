@@ -22,8 +22,8 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.language.asking import Understood
     from bbq_torchrl.people.language.templates import Template
 
-_MOST_IN_CONFLICT = 4
-_MOST_CHOICES = 5
+_MAX_IN_CONFLICT = 4
+_MAX_CHOICES = 5
 _NO_WISH = (ANY, NO_MATCH_TEXT, AVAILABLE_TEXT)
 
 # Values that bring their own: "it starts after 10pm", "it is tomorrow".
@@ -165,7 +165,7 @@ class Generator:
             return sentence(self._fill(self._phrases.agent["again"], rng))
         unclear = understood.unclear[0]
         if unclear.candidates:
-            return sentence(self._choose(unclear.slot, unclear.candidates[:_MOST_CHOICES], rng))
+            return sentence(self._choose(unclear.slot, unclear.candidates[:_MAX_CHOICES], rng))
         words = {"<words>": [Piece(unclear.text)]}
         use = "denied" if unclear.is_denied else "unknown"
         return sentence(self._fill(self._phrases.agent[use], rng, unclear.slot, words))
@@ -218,7 +218,7 @@ class Generator:
             for slot, value in wanted.items()
         }
         every = set(range(len(self._records)))
-        for size in (*range(1, _MOST_IN_CONFLICT + 1), len(matches)):
+        for size in (*range(1, _MAX_IN_CONFLICT + 1), len(matches)):
             for some in combinations(matches, size):
                 if not every.intersection(*(matches[slot] for slot in some)):
                     return some

@@ -119,7 +119,7 @@ _BATCH = 512
 _RATE = 0.012
 _LEFT_OUT = 0.4
 EPOCHS = 10
-_MOST = 16_000  # features that are kept, those that most sentences have
+_MAX_FEATURES = 16_000  # features that are kept, those that most sentences have
 
 
 class IntentNet(nn.Module):
@@ -218,7 +218,7 @@ def train_intents(
     )
     with torch.random.fork_rng(devices=[]):
         torch.manual_seed(seed)
-        net = IntentNet([name for name, _ in ranked[:_MOST]], *names)
+        net = IntentNet([name for name, _ in ranked[:_MAX_FEATURES]], *names)
         flat, sizes = net.encode(sentences)
         starts = sizes.cumsum(0) - sizes
         target = torch.tensor(acts)

@@ -22,7 +22,7 @@ _SMALL = word_set("small")
 _NEGATIVE = re.compile(r"-\s?\d")
 _CLOSE = 0.045
 _LEAST = 0.6
-_MOST_TIES = 6
+_MAX_TIES = 6
 _SAME_WORD = pairs("same_word")
 
 
@@ -218,7 +218,7 @@ class Lexicon:
         if not ranked or ranked[0][1] < _LEAST:
             return Link((), ranked[0][1] if ranked else 0.0)
         best = ranked[0][1]
-        ties = [key for key, score in ranked[:_MOST_TIES] if score > best - _CLOSE]
+        ties = [key for key, score in ranked[:_MAX_TIES] if score > best - _CLOSE]
         return Link(tuple(self.spelling(slot, key) for key in ties), best)
 
 

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.language.corpus import Example
     from bbq_torchrl.people.language.lexicon import Lexicon
 
-_MOST_CLAUSES = 6
+_MAX_CLAUSES = 6
 _SURE = 0.75
 
 
@@ -104,7 +104,7 @@ def _clauses(
         for start, end in pairwise(bounds)
         if end - start > 1
     ]
-    return found[:_MOST_CLAUSES] if len(found) > 1 else []
+    return found[:_MAX_CLAUSES] if len(found) > 1 else []
 
 
 def _of_slots(logits: torch.Tensor, asked: int | None) -> torch.Tensor:

@@ -36,7 +36,7 @@ _ARRAYS = {
 
 _TEXTS = ("acts", "slots", "features", "known")
 
-_MOST_BYTES = 1 << 28  # of all arrays: a hundred times what one of ours has
+_MAX_BYTES = 1 << 28  # of all arrays: a hundred times what one of ours has
 
 
 def write_model(path: Path, about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
@@ -67,8 +67,8 @@ def read_model(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
         # Opened here, since numpy leaves a damaged file open.
         with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
             size = sum(info.file_size for info in stored.zip.infolist())
-            if size > _MOST_BYTES:
-                raise ValueError(f"it would take {size} bytes, more than {_MOST_BYTES}")
+            if size > _MAX_BYTES:
+                raise ValueError(f"it would take {size} bytes, more than {_MAX_BYTES}")
             arrays = {name: stored[name] for name in stored.files}
         about = json.loads(arrays["about"].tobytes())
         version = about["version"]

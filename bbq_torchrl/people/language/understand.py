@@ -49,7 +49,7 @@ _STEPS, _BLIND_STEPS = 40, 30  # of the tagger's optimizer
 TICKS = _STEPS + _BLIND_STEPS + 2 * EPOCHS
 """The most steps of learning."""
 
-_MOST_WORDS = 120
+_MAX_WORDS = 120
 _CALM = 0.3  # sentences of the grammar are more crowded than those of people
 _OWN = 4  # to so many sentences one of the grammar's own, at least
 _PLAYED = 4  # sentences of simulated users to one of the others
@@ -176,7 +176,7 @@ class Understander:
             TextError: a ``ValueError`` fit to be shown, if nothing of the text can be read or it
                 is too long.
         """
-        words = words_of(text)[:_MOST_WORDS]
+        words = words_of(text)[:_MAX_WORDS]
         frame, unclear, cues = self._hear(words, question or OPENING)
         return Understood(frame, probability(cues, self._calibration), unclear)
 

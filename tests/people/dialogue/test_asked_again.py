@@ -12,7 +12,7 @@ from bbq_torchrl.domains import tensorize
 from bbq_torchrl.envs.text import TextChannel
 from bbq_torchrl.people.chat import Partner
 from bbq_torchrl.people.language import Frame, Unclear, Understood
-from bbq_torchrl.people.language.asking import MOST_ASKS, Asking
+from bbq_torchrl.people.language.asking import MAX_ASKS, Asking
 from bbq_torchrl.people.study.users import SimulatedUser
 from bbq_torchrl.simulator import Simulator
 
@@ -75,7 +75,7 @@ def test_the_level_of_text_hears_what_a_chat_hears(movie, agents, mouth, spellin
         asked.add(asks)
         choices += any("multiple_choice" in question for question in in_chat)
         ears.questions.clear()
-    assert asked == ({0} if below == 0 else {0, 1, MOST_ASKS})
+    assert asked == ({0} if below == 0 else {0, 1, MAX_ASKS})
     assert (choices > 0) == (below != 0)
 
 

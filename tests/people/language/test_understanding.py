@@ -295,7 +295,7 @@ def test_a_file_that_was_changed_is_refused_before_anything_reads_it(
 def test_a_file_that_would_grow_is_refused_before_it_is_unpacked(understand, tmp_path, monkeypatch):
     path = tmp_path / "u.npz"
     understand.save(path)
-    monkeypatch.setattr(model_file, "_MOST_BYTES", 10_000)
+    monkeypatch.setattr(model_file, "_MAX_BYTES", 10_000)
     with pytest.raises(ValueError, match="bytes, more than 10000"):
         Understander.load(path, movie_domain())
 
