@@ -12,7 +12,7 @@ import forked
 import pytest
 from tiny import TINY, rows
 
-from bbq_torchrl.utils.interruption import PATIENCE
+from bbq_torchrl.runs.cluster import PATIENCE
 
 pytestmark = [
     pytest.mark.slow,
