@@ -16,7 +16,7 @@ from bbq_torchrl.people.language.corpus import Example, spoiled, tag
 from bbq_torchrl.people.language.learners import OUTSIDE, spans_of
 from bbq_torchrl.people.language.surfaces import Surfaces
 from bbq_torchrl.people.language.templates import Piece, choose, parse
-from bbq_torchrl.people.language.words import ENGLISH, compact, tokenize, word_set, words_of
+from bbq_torchrl.people.language.words import ENGLISH, SMALL, compact, tokenize, words_of
 from bbq_torchrl.utils.text import FaultsError
 
 if TYPE_CHECKING:
@@ -29,7 +29,6 @@ if TYPE_CHECKING:
 _TRIES = 10
 _LONGEST_WORD = 9  # letters of a made-up word
 _LIKE = 0.75  # a name that fits a value as well is a slip of it
-_SMALL = word_set("small")
 _FOREIGN = [parse(text) for text in ENGLISH["foreign"]]
 
 
@@ -75,7 +74,7 @@ class Names:
             if lexicon.kinds[slot] == "text"
         }
         own = [word for values in self._values.values() for value in values for word in value]
-        self._own = [word for word in own if word not in _SMALL]
+        self._own = [word for word in own if word not in SMALL]
         self._next: dict[str, list[str]] = {}
         for word in filter(str.isalpha, self._own):
             for at in range(len(word) + 1):
@@ -90,7 +89,7 @@ class Names:
             return []
         for _ in range(_TRIES):
             shape = rng.choice(self._values[slot])
-            words = [word if word in _SMALL else self._word(rng) for word in shape]
+            words = [word if word in SMALL else self._word(rng) for word in shape]
             name = " ".join(words)
             link = self._lexicon.link(slot, name)
             if words != shape and link.score < _LIKE and self._lexicon.only_slot(name) is None:

@@ -12,13 +12,12 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl.domains import FIRST_VALUE, build_vocabulary, fold
 from bbq_torchrl.people.language.phrases import load_phrases
 from bbq_torchrl.people.language.quantities import READERS, Kind, kind_of
-from bbq_torchrl.people.language.words import compact, pairs, tokenize, word_set
+from bbq_torchrl.people.language.words import SMALL, compact, pairs, tokenize
 from bbq_torchrl.utils.extras import needed
 
 if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
 
-_SMALL = word_set("small")
 _NEGATIVE = re.compile(r"-\s?\d")
 _CLOSE = 0.045
 _LEAST = 0.6
@@ -293,7 +292,7 @@ class _Names:
 
 
 def _importance(word: str) -> float:
-    return 0.15 if word in _SMALL else 1.0
+    return 0.15 if word in SMALL else 1.0
 
 
 def _important_words(text: str) -> list[str]:

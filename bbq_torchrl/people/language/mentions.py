@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 import re
-from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
 
-from bbq_torchrl.people.language.asking import OPENING, Unclear, asked_slot
+from bbq_torchrl.people.language.asking import Unclear, asked_slot
+from bbq_torchrl.people.language.company import company
+from bbq_torchrl.people.language.denials import CLAUSE, is_denied
 from bbq_torchrl.people.language.learners import OUTSIDE, Span, spans_of
 from bbq_torchrl.people.language.quantities import DAY_WORDS, MONTH_WORDS, ORDINAL_WORDS, PART_WORDS
 from bbq_torchrl.people.language.words import (
-    COUNT_WORDS,
     ENGLISH,
     NUMBER_WORDS,
     POLITE,
@@ -37,9 +37,7 @@ _CORRECTS = word_set("corrects")
 _CONCLUDES = word_set("concludes")
 _REASONS = frozenset(("since", "because", "although", "though", "unless", "cause", "cuz", "as"))
 _NOT = frozenset(("not", "no", "except"))
-_DENIED_BEFORE, _DENIED_AFTER = (
-    [re.compile(pattern) for pattern in ENGLISH[name]] for name in ("denied_before", "denied_after")
-)
+_STATES = frozenset(("is", "was", "it's", "its", "that's", "thats"))
 _RANGES = ENGLISH["ranges"]
 _RANGE = re.compile(rf"(.+?) ({'|'.join(_RANGES)})\b")
 _BOUNDS = [
@@ -47,15 +45,21 @@ _BOUNDS = [
     for text in ENGLISH["relations"]
     if text.startswith(("no", "after", "before"))
 ]
-_NO = re.compile(ENGLISH["denied_by_no"])
-_SMALL = word_set("small")
-_CLAUSE = re.compile(r"[^\w' ]")
 _QUANTITY_WORDS = DAY_WORDS | MONTH_WORDS | NUMBER_WORDS | ORDINAL_WORDS | PART_WORDS
 _LIKELY = 0.85
 _LEAST = 0.4
 _MAYBE = 0.95  # how likely a known name must be none to be passed over
 _FAINT = 0.3
 _LETTERS = 4
+
+
+class _Part(NamedTuple):
+    """Words of a sentence from a start to an end, and the values that they fit."""
+
+    start: int
+    end: int
+    text: str
+    link: Link
 
 
 class _Mention(NamedTuple):
@@ -91,7 +95,7 @@ def values_of(
             start += 1
         text = " ".join(words[start:end])
         if lexicon.kinds[slot] == "count":
-            start, end = _company(slot, words, start, end, lexicon)
+            start, end = company(slot, words, start, end, lexicon)
             text = " ".join(words[start:end])
         ranged = None
         if lexicon.kinds[slot] != "text":
@@ -101,25 +105,27 @@ def values_of(
             text = f"{_RANGES[ranged[2]]} {ranged[1]}"
         elif lexicon.kinds[slot] == "time" and (at := _bound(words, start)) is not None:
             start, text, is_range = at, " ".join(words[at:end]), True
+        is_praise = text in POLITE and not _STATES.isdisjoint(words[max(start - 1, 0) : start])
+        if is_praise and slot != asked and not _is_behind_noun(slot, words, start, lexicon):
+            continue  # "I heard it's great"
         link = lexicon.link(slot, text)
         if not link.values and (other := lexicon.only_slot(text)) is not None:
             slot, link = other, lexicon.link(other, text)
-        parts = (
-            [(text, link)] if link.values or is_range else _within(slot, words[start:end], lexicon)
-        )
+        parts = [_Part(start, end, text, link)]
+        if not link.values and not is_range:
+            parts = _within(slot, words, start, end, lexicon)
         if not link.values and lexicon.kinds[slot] != "text" and not _is_quantity(words[start:end]):
             continue  # No number, day or clock in it: a word that only stood where one could.
         if lexicon.kinds[slot] == "text" and link.score < 1.0:
-            inside = _within(slot, words[start:end], lexicon)
-            if exact := [part for part in inside if part[1].score == 1.0]:
+            inside = _within(slot, words, start, end, lexicon)
+            if exact := [part for part in inside if part.link.score == 1.0]:
                 parts = exact  # "one drama"
             elif not link.values:
-                parts = [(text, link)]  # "groundhog day" is no "day one"
+                parts = [_Part(start, end, text, link)]  # "groundhog day" is no "day one"
             elif slot != asked and min(reading.each_chance[start:end]) < (
                 _LIKELY if end - start == 1 or link.score < _FAIR else _LEAST
             ):
                 continue  # Words that are no more than like a name are often none.
-        is_denied = _is_denied(words, start, end, is_first=slot not in first)
         if slot in first and not _CONCLUDES.isdisjoint(words[first[slot] : start]):
             concluded.add(slot)
         elif (
@@ -128,9 +134,11 @@ def values_of(
             and not all(mention.is_denied for mention in found[slot])
         ):
             continue  # "Thursday night, since Friday is a holiday"
-        first.setdefault(slot, end)
         mentions = found.setdefault(slot, [])
-        mentions += [_Mention(part, link, is_denied) for part, link in parts]
+        for part in parts:
+            denied = is_denied(words, part.start, part.end, is_first=slot not in first)
+            mentions.append(_Mention(part.text, part.link, denied))
+            first.setdefault(slot, part.end)
         if (other_name := _or(slot, words, start, end, lexicon)) is not None:
             mentions.append(_Mention(*other_name))
     corrects = not _CORRECTS.isdisjoint(words)
@@ -173,7 +181,7 @@ def _missed(
     found: list[Span] = []
     tags = list(reading.tags)
     spans = spans_of(tags)
-    named = {slot for slot, start, end in spans if not _is_denied(words, start, end)}
+    named = {slot for slot, start, end in spans if not is_denied(words, start, end)}
     is_inform = lexicon.domain.acts[int(reading.acts.argmax())] == "inform"
     is_empty = is_inform and not spans and reading.dont_care.max() < _FAINT
     maybe = 1.1 if is_empty else _MAYBE  # who informs has named something
@@ -189,57 +197,23 @@ def _missed(
             if slot is None:
                 continue
             is_polite = name in POLITE
-            before = set(_CLAUSE.split(" ".join(words[:start]))[-1].split())
-            is_about = is_polite and not before.isdisjoint(lexicon.phrases.slots[slot].nouns)
-            is_denied = (
-                not is_short and (slot == asked or not is_polite) and _is_denied(words, start, end)
+            is_about = is_polite and _is_behind_noun(slot, words, start, lexicon)
+            denied = (
+                not is_short and (slot == asked or not is_polite) and is_denied(words, start, end)
             )
-            ends = not _CLAUSE.split(" ".join(words[end:]))[0].strip()
+            ends = not CLAUSE.split(" ".join(words[end:]))[0].strip()
             least = maybe if not is_short else _LIKELY if ends else 0.0  # "md", but no "if"
             is_doubtful = max(reading.each_chance[start:end]) < least and not is_polite
-            if is_denied or ((is_doubtful or is_about) and slot not in named):
+            if denied or ((is_doubtful or is_about) and slot not in named):
                 found.append(Span(slot, start, end))
                 tags[start:end] = [slot] * size
     return found
 
 
-def _is_denied(words: Sequence[str], start: int, end: int, *, is_first: bool = True) -> bool:
-    """Returns whether the words around a name say that it is not what is wanted.
-
-    Behind another name of its slot, and before a number, a "no" takes back what was said.
-    """
-    before = _CLAUSE.split(" ".join(words[max(start - 8, 0) : start]))[-1].strip()
-    after = _CLAUSE.split(" ".join(words[end : end + 6]))[0].strip()
-    says_no = is_first and not any(map(str.isdigit, "".join(words[start:end])))
-    return (
-        (says_no and _NO.search(before) is not None)
-        or any(pattern.search(before) for pattern in _DENIED_BEFORE)
-        or any(pattern.search(after) for pattern in _DENIED_AFTER)
-    )
-
-
-def counted(
-    words: Sequence[str], tags: Sequence[str], question: Frame, lexicon: Lexicon
-) -> list[str]:
-    """Returns the tags with those of counts: before a noun ("2 tickets"), or first ("2 dune")."""
-    found = list(tags)
-    counts = [slot for slot in lexicon.slots if lexicon.kinds[slot] == "count"]
-    for slot in counts:
-        nouns = set(lexicon.phrases.slots[slot].nouns) - _SMALL
-        for at, (word, noun) in enumerate(pairwise(words)):
-            is_open = found[at] == OUTSIDE and noun in nouns and slot not in found
-            if is_open and lexicon.link(slot, word).is_exact:
-                found[at] = slot
-    main, (first, *_) = lexicon.counted, spans_of(found) or [Span("", 1, 1)]
-    own = " ".join(words[: first.end])
-    if first.slot in counts:
-        is_named = not set(words[1:2]).isdisjoint(lexicon.phrases.slots[first.slot].nouns)
-    else:
-        is_named = first.start == 0 and lexicon.link(first.slot, own).is_exact
-    is_open = question == OPENING and found[1:2] != [OUTSIDE] and main not in found
-    if main is not None and is_open and not is_named and lexicon.link(main, words[0]).is_exact:
-        found[0] = main
-    return found
+def _is_behind_noun(slot: str, words: Sequence[str], start: int, lexicon: Lexicon) -> bool:
+    """Returns whether a noun of a slot stands before a word, in its clause."""
+    before = CLAUSE.split(" ".join(words[:start]))[-1].split()
+    return not set(before).isdisjoint(lexicon.phrases.slots[slot].nouns)
 
 
 def _bound(words: Sequence[str], start: int) -> int | None:
@@ -249,22 +223,6 @@ def _bound(words: Sequence[str], start: int) -> int | None:
             if tuple(words[at : at + len(phrase)]) == phrase:
                 return at
     return None
-
-
-def _company(
-    slot: str, words: Sequence[str], start: int, end: int, lexicon: Lexicon
-) -> tuple[int, int]:
-    """Returns where the whole of a number of people stands: "with my two" brothers is three."""
-    first, last = start, end
-    while first > 0 and words[first - 1] in COUNT_WORDS:
-        first -= 1
-    while last < len(words) and words[last] in COUNT_WORDS:
-        last += 1
-    for at in range(first, start + 1):
-        for stop in range(last, end - 1, -1):
-            if len(lexicon.link(slot, " ".join(words[at:stop])).values) == 1:
-                return at, stop
-    return start, end
 
 
 def _or(
@@ -287,22 +245,23 @@ def _is_quantity(words: Sequence[str]) -> bool:
     return any(any(map(str.isdigit, word)) or word in _QUANTITY_WORDS for word in words)
 
 
-def _within(slot: str, words: Sequence[str], lexicon: Lexicon) -> list[tuple[str, Link]]:
+def _within(slot: str, words: Sequence[str], start: int, end: int, lexicon: Lexicon) -> list[_Part]:
     """Returns names inside of words that are none as a whole, the longest from left to right."""
     found = []
-    at = 0
-    has_month = not MONTH_WORDS.isdisjoint(words)
-    while at < len(words):
-        for end in range(min(len(words), at + LONGEST), at, -1):
-            text = " ".join(words[at:end])
+    at = start
+    has_month = not MONTH_WORDS.isdisjoint(words[start:end])
+    while at < end:
+        for stop in range(min(end, at + LONGEST), at, -1):
+            text = " ".join(words[at:stop])
             # A day that its month does not have is no day of another month.
-            if has_month and re.search(r"\d", text) and MONTH_WORDS.isdisjoint(words[at:end]):
+            if has_month and re.search(r"\d", text) and MONTH_WORDS.isdisjoint(words[at:stop]):
                 continue
             link = lexicon.link(slot, text)
             if len(link.values) == 1 and link.score >= _FAIR:
-                found.append((text, link))
-                at = end
+                found.append(_Part(at, stop, text, link))
+                at = stop
                 break
         else:
             at += 1
-    return found or [(" ".join(words), lexicon.link(slot, " ".join(words)))]
+    text = " ".join(words[start:end])
+    return found or [_Part(start, end, text, lexicon.link(slot, text))]

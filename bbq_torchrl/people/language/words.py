@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +42,9 @@ _TOKEN = re.compile(
     r"|[^\w\s]"
 )
 
+
+SMALL = word_set("small")
+"""Words that tell nothing of a name."""
 
 _SHORT = pairs("short")
 """Words as short messages have them, which are read as the long ones."""
@@ -94,6 +98,23 @@ def words_of(text: str) -> list[str]:
     if not words:
         raise TextError("a message must have at least one word, number or mark")
     return words
+
+
+def capitalized(text: str) -> frozenset[str]:
+    """Returns the words inside of the sentences of a text that begin with a capital, as names do.
+
+    Small words and words all in capitals are left out.
+
+    Examples:
+        >>> sorted(capitalized("I liked Top Gun. Is Dune in IMAX?"))
+        ['dune', 'gun', 'top']
+    """
+    found = {
+        normalize(word)
+        for before, word in pairwise(_TOKEN.findall(legible(text)))
+        if word[0].isupper() and not word.isupper() and word[:2] != "I'" and before not in BREAKS
+    }
+    return frozenset(found - SMALL)
 
 
 def compact(text: str) -> str:

@@ -15,6 +15,7 @@ from bbq_torchrl.people.language import Frame, Generator, Unclear, Understood
 from bbq_torchrl.people.language.asking import FOREIGN, OPENING
 from bbq_torchrl.people.language.assemble import assemble
 from bbq_torchrl.people.language.corpus import make_examples
+from bbq_torchrl.people.language.denials import is_denied
 from bbq_torchrl.people.language.labeled import Names, make_foreign
 from bbq_torchrl.people.language.learners import OUTSIDE
 from bbq_torchrl.people.language.model import Reading
@@ -45,6 +46,11 @@ def read(text, tagged, lexicon, question=None, *, act="inform", foreign=0.0):
         "we are busy on friday",
         "any day other than friday",
         "friday is out of the question",
+        "i refuse to go on friday",
+        "my sister hates friday",
+        "please don't book us for friday",
+        "friday clashes with my exam",
+        "i would rather walk than friday",
     ],
 )
 @pytest.mark.parametrize("is_tagged", [True, False])
@@ -66,6 +72,10 @@ def test_a_denied_value_is_reported_and_not_told(lexicon, text, is_tagged):
         "friday isn't sold out , is it",
         "let's say friday",
         "friday too please",
+        "i can't wait until friday",
+        "they won't stop talking about friday",
+        "nothing better than friday",
+        "i don't care what we see on friday",
     ],
 )
 def test_words_of_denial_about_something_else_leave_the_value(lexicon, text):
@@ -130,6 +140,60 @@ def test_a_polite_word_behind_a_noun_of_its_slot_is_a_value(lexicon, text):
     said = Frame("inform", {"taskcomplete": "ticket available"})
     assert read(text, {}, lexicon, said, act="thanks")[0].informs == {"critic_rating": "great"}
     assert read("great", {}, lexicon, said, act="thanks")[0] == Frame("thanks")
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [("wonka , they say it's great", None), ("wonka , it should be great", "great")],
+)
+def test_praise_is_no_wish_though_it_was_tagged(lexicon, text, told):
+    tagged = {"wonka": "moviename", "great": "critic_rating"}
+    assert read(text, tagged, lexicon)[0].informs.get("critic_rating") == told
+
+
+@pytest.mark.parametrize(
+    ("text", "denied"),
+    [
+        ("friday's no good", True),
+        ("friday's fine", False),
+        ("i have got an exam on friday", True),
+        ("haven't you got friday", False),
+        ("i haven't seen friday", False),
+        ("please rule out friday", True),
+        ("it hurts friday", False),
+    ],
+)
+def test_words_before_and_after_a_value_deny_it(text, denied):
+    words = tokenize(text)
+    (at,) = [place for place, word in enumerate(words) if word.startswith("friday")]
+    assert is_denied(words, at, at + 1) == denied
+
+
+@pytest.mark.parametrize("text", ["my boss and we despise friday", "we despise friday"])
+def test_a_denial_that_was_tagged_as_part_of_a_name_still_denies_it(lexicon, text):
+    tagged = dict.fromkeys(("despise", "friday"), "date")
+    frame, unclear = read(text, tagged, lexicon, Frame("request", {}, ("date",)))
+    assert (frame.informs, unclear) == ({}, (Unclear("date", "friday", is_denied=True),))
+
+
+@pytest.mark.parametrize(
+    ("text", "people"),
+    [
+        ("wonka , for my aunt and me", 2),
+        ("wonka with me and my two cousins", 3),
+        ("wonka for six", 6),
+        ("wonka with 2 mates", 3),
+        ("wonka , we are a group of 8", 8),
+        ("wonka , there are 9 of us", 9),
+        ("wonka and we'd be five", 5),
+        ("wonka instead of six let's make it four , we will be four", 4),
+        ("wonka with my aunt's car", None),
+        ("wonka ? i sat there for six hours", None),
+    ],
+)
+def test_words_that_tell_how_many_come_need_no_tag(lexicon, text, people):
+    told = read(text, {"wonka": "moviename"}, lexicon)[0].informs.get("numberofpeople")
+    assert told == people or lexicon.key("numberofpeople", told) == str(people)
 
 
 @pytest.mark.parametrize("count", ["2", "two", "7"])

@@ -1,0 +1,89 @@
+"""Numbers of people: how many come, where the tagger passed it over or found a part of it."""
+
+from __future__ import annotations
+
+import re
+from itertools import pairwise
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.people.language.asking import OPENING
+from bbq_torchrl.people.language.learners import OUTSIDE, Span, spans_of
+from bbq_torchrl.people.language.words import (
+    COUNT_WORDS,
+    ENGLISH,
+    NUMBER_WORDS,
+    SMALL,
+    word_set,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from bbq_torchrl.domains.frames import Frame
+    from bbq_torchrl.people.language.lexicon import Lexicon
+
+_NUMBER = rf"(?:{'|'.join(sorted(NUMBER_WORDS))}|\d\d?)"
+_COMPANIONS = word_set("companions") | word_set("companies") | word_set("pairs")
+_COMPANION = rf"(?:{'|'.join(sorted(_COMPANIONS))})"
+_COUNTS_TOLD = [
+    re.compile(pattern.replace("<number>", _NUMBER).replace("<companion>", _COMPANION))
+    for pattern in ENGLISH["counts_told"]
+]
+
+
+def counted(
+    words: Sequence[str], tags: Sequence[str], question: Frame, lexicon: Lexicon
+) -> list[str]:
+    """Returns the tags with those of counts that were passed over.
+
+    They stand before a noun ("2 tickets"), first ("2 dune") or in words that tell how many come
+    ("my wife and I", "for two").
+    """
+    found = list(tags)
+    counts = [slot for slot in lexicon.slots if lexicon.kinds[slot] == "count"]
+    for slot in counts:
+        nouns = set(lexicon.phrases.slots[slot].nouns) - SMALL
+        for at, (word, noun) in enumerate(pairwise(words)):
+            is_open = found[at] == OUTSIDE and noun in nouns and slot not in found
+            if is_open and lexicon.link(slot, word).is_exact:
+                found[at] = slot
+    main, (first, *_) = lexicon.counted, spans_of(found) or [Span("", 1, 1)]
+    own = " ".join(words[: first.end])
+    if first.slot in counts:
+        is_named = not set(words[1:2]).isdisjoint(lexicon.phrases.slots[first.slot].nouns)
+    else:
+        is_named = first.start == 0 and lexicon.link(first.slot, own).is_exact
+    is_open = question == OPENING and found[1:2] != [OUTSIDE] and main not in found
+    if main is not None and is_open and not is_named and lexicon.link(main, words[0]).is_exact:
+        found[0] = main
+    if main is not None and main not in found:
+        for start, end in _told(words):
+            is_open = {*found[start:end]} == {OUTSIDE}
+            if is_open and lexicon.link(main, " ".join(words[start:end])).is_exact:
+                found[start:end] = [main] * (end - start)
+                break
+    return found
+
+
+def _told(words: Sequence[str]) -> list[tuple[int, int]]:
+    """Returns where words tell how many come, from a word to the one after the last."""
+    text = " ".join(words)
+    matches = filter(None, (pattern.search(text) for pattern in _COUNTS_TOLD))
+    places = [match.span(match.lastindex or 0) for match in matches]
+    return [(text[:start].count(" "), text[:end].count(" ") + 1) for start, end in places]
+
+
+def company(
+    slot: str, words: Sequence[str], start: int, end: int, lexicon: Lexicon
+) -> tuple[int, int]:
+    """Returns where the whole of a number of people stands: "with my two" brothers is three."""
+    first, last = start, end
+    while first > 0 and words[first - 1] in COUNT_WORDS:
+        first -= 1
+    while last < len(words) and words[last] in COUNT_WORDS:
+        last += 1
+    for at in range(first, start + 1):
+        for stop in range(last, end - 1, -1):
+            if words[at] != "of" and len(lexicon.link(slot, " ".join(words[at:stop])).values) == 1:
+                return at, stop
+    return start, end
