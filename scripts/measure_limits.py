@@ -147,7 +147,7 @@ def unseen(
 ) -> dict[str, Any]:
     """Returns the slot F1 of sentences with known titles, and with titles that the domain lacks.
 
-    A reported unknown name counts as a value.
+    They are typed with capitals where the known one is. A reported unknown name counts as a value.
     """
     shared, pairs = [0, 0], [0, 0]
     named = [line for line in lines if line.frame.informs.get("moviename", "") in line.text.lower()]
@@ -156,7 +156,8 @@ def unseen(
         title, other = frame.informs["moviename"], titles[at % len(titles)]
         for column, name in enumerate((title, other)):
             start = text.lower().index(title)
-            heard = understand(text[:start] + name + text[start + len(title) :], question)
+            typed = name.title() if text[start].isupper() else name
+            heard = understand(text[:start] + typed + text[start + len(title) :], question)
             meant = keys_of(frame, understand.lexicon) | {"moviename": compact(name)}
             got = keys_of(heard.frame, understand.lexicon)
             if "moviename" in got:

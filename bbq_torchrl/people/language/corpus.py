@@ -41,12 +41,15 @@ class Example:
         tags: the slot whose value each word is part of, else :data:`OUTSIDE`.
         frame: what is meant.
         question: the agent's last act; :data:`OPENING` before its first.
+        capitals: the words that were typed with a capital as names are, see
+            :func:`~bbq_torchrl.people.language.words.capitalized`.
     """
 
     words: list[str]
     tags: list[str]
     frame: Frame
     question: Frame
+    capitals: frozenset[str] = frozenset()
 
 
 def tag(pieces: Sequence[Piece]) -> tuple[list[str], list[str]]:
@@ -96,9 +99,13 @@ def make_examples(
 
 
 def spoiled(examples: Sequence[Example], seed: int) -> list[Example]:
-    """Returns sentences of people spoiled as those of the grammar are."""
+    """Returns sentences of people spoiled as those of the grammar are, half without capitals."""
     rng = random.Random(seed)
-    return [_spoil(example, rng, 1.0) for example in examples]
+    found = [_spoil(example, rng, 1.0) for example in examples]
+    return [
+        replace(example, capitals=frozenset()) if at % 2 else example
+        for at, example in enumerate(found)
+    ]
 
 
 def _spoil(example: Example, rng: random.Random, noise: float) -> Example:

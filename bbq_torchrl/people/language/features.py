@@ -87,19 +87,24 @@ class Features:
         letters = [word for word in words if word[0].isalpha()]
         return sum(self.spelled(word) == UNKNOWN for word in letters) / max(len(letters), 1)
 
-    def of_words(self, words: Sequence[str], question: Frame) -> list[list[str]]:
-        """Returns the features of each word."""
+    def of_words(
+        self, words: Sequence[str], question: Frame, capitals: frozenset[str] = frozenset()
+    ) -> list[list[str]]:
+        """Returns the features of each word; ``capitals`` are those typed as names are."""
         spelled = [self.spelled(word) for word in words]
         classes = [_class(word) for word in spelled]
         found = self._windows(spelled)
         self._quantities(words, found)
         asked = _question(question)
+        # A capital tells nothing of known names, so that these are found without it as well.
+        is_new = [word in capitals and not names for word, names in zip(words, found, strict=True)]
         own = []
         for at, (word, kind) in enumerate(zip(spelled, classes, strict=True)):
             raw = words[at]
             row = [f"w={word}", f"c={kind}", f"s={raw[-3:]}", f"p={raw[:3]}", *found[at]]
             row += [f"in:{slot}" for slot in sorted(self._part.get(word, ()))]
             row += [f"noun:{slot}" for slot in self._nouns.get(word, ())]
+            row += ["capital"] if is_new[at] else []
             own.append(row)
         rows = []
         for at in range(len(words)):
@@ -110,6 +115,7 @@ class Features:
                     row.append(f"{step}:edge")
                     continue
                 row += [f"{step}:w={spelled[near]}", f"{step}:c={classes[near]}"]
+                row += [f"{step}:capital"] if is_new[near] else []
                 if abs(step) == 1:
                     row += [f"{step}:{name}" for name in found[near]]
                     pair = "_".join(spelled[min(at, near) : max(at, near) + 1])

@@ -16,7 +16,14 @@ from bbq_torchrl.people.language.corpus import Example, spoiled, tag
 from bbq_torchrl.people.language.learners import OUTSIDE, spans_of
 from bbq_torchrl.people.language.surfaces import Surfaces
 from bbq_torchrl.people.language.templates import Piece, choose, parse
-from bbq_torchrl.people.language.words import ENGLISH, SMALL, compact, tokenize, words_of
+from bbq_torchrl.people.language.words import (
+    ENGLISH,
+    SMALL,
+    capitalized,
+    compact,
+    tokenize,
+    words_of,
+)
 from bbq_torchrl.utils.text import FaultsError
 
 if TYPE_CHECKING:
@@ -206,7 +213,8 @@ def as_examples(lines: Sequence[Line], lexicon: Lexicon) -> list[Example]:
             )
             if place is not None:
                 tags[place.start : place.stop] = [slot] * len(place)
-        examples.append(Example(words, tags, without_unknown(frame), question or OPENING))
+        heard = without_unknown(frame)
+        examples.append(Example(words, tags, heard, question or OPENING, capitalized(text)))
     return examples
 
 
@@ -271,13 +279,16 @@ def varied(
     for example in examples:
         for _ in range(copies):
             words, tags, at = [], [], 0
+            capitals = example.capitals
             for slot, start, end in spans_of(example.tags):
                 value = rng.choice(lexicon.values(slot))
                 other = names.made_up(slot, rng) if rng.random() < _MADE_UP else []
                 other = other or tokenize(surfaces(slot, value, rng))
                 words += [*example.words[at:start], *other]
                 tags += [*example.tags[at:start], *[slot] * len(other)]
+                if not capitals.isdisjoint(example.words[start:end]):
+                    capitals |= {*other} - SMALL
                 at = end
             words, tags = words + example.words[at:], tags + example.tags[at:]
-            found.append(replace(example, words=words, tags=tags))
+            found.append(replace(example, words=words, tags=tags, capitals=capitals))
     return found

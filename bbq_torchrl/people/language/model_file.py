@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
     from pathlib import Path
 
-VERSION = 7
+VERSION = 8
 
 _ARRAYS = {
     "about": (np.uint8, 1),

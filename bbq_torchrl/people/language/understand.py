@@ -27,7 +27,7 @@ from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.model import Model, fit
 from bbq_torchrl.people.language.model_file import read_model, write_model
 from bbq_torchrl.people.language.surfaces import DROPPED, Surfaces
-from bbq_torchrl.people.language.words import words_of
+from bbq_torchrl.people.language.words import capitalized, words_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -177,7 +177,7 @@ class Understander:
                 is too long.
         """
         words = words_of(text)[:_MAX_WORDS]
-        frame, unclear, cues = self._hear(words, question or OPENING)
+        frame, unclear, cues = self._hear(words, question or OPENING, capitalized(text))
         return Understood(frame, probability(cues, self._calibration), unclear)
 
     def asks(self, understood: Understood) -> bool:
@@ -185,17 +185,17 @@ class Understander:
         return understood.confidence < self.threshold or bool(understood.unclear)
 
     def _hear(
-        self, words: Sequence[str], question: Frame
+        self, words: Sequence[str], question: Frame, capitals: frozenset[str]
     ) -> tuple[Frame, tuple[Unclear, ...], np.ndarray]:
         """Returns the frame of some words, what is unclear, and the cues of how sure that is."""
-        reading = self._model.read(words, question)
+        reading = self._model.read(words, question, capitals)
         frame, unclear = assemble(words, reading, question, self.lexicon)
         chance = reading.acts[self.domain.acts.index(frame.act)].exp().item()
         tagged = zip(words, reading.tags, strict=True)
         shorter = [word for word, tag in tagged if tag != OUTSIDE or word not in DROPPED]
         is_steady = True
         if shorter and len(shorter) < len(words):
-            again = self._model.read(shorter, question)
+            again = self._model.read(shorter, question, capitals)
             other, _ = assemble(shorter, again, question, self.lexicon)
             is_steady = same_frame(frame, other, self.lexicon)
         cues = cues_of(words, reading, frame, unclear, chance=chance, is_steady=is_steady)
@@ -205,7 +205,7 @@ class Understander:
         """Returns the cues ``[N, CUES]`` of sentences, and which frames are right ``[N]``."""
         rows, right = [], []
         for example in sentences:
-            frame, _, cues = self._hear(example.words, example.question)
+            frame, _, cues = self._hear(example.words, example.question, example.capitals)
             rows.append(cues)
             right.append(same_frame(frame, example.frame, self.lexicon))
         return np.array(rows), np.array(right)

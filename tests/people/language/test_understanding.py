@@ -271,7 +271,7 @@ FILES = {
     "another number of features": (told("features", ["a"]), "bag must have a row for each"),
     "no threshold": (told("threshold", None), "a threshold"),
     "no name": (told("domain", 3), "the name of a domain"),
-    "another version": (told("version", 5), "must be of version 7, got 5: train it anew"),
+    "another version": (told("version", 5), "must be of version 8, got 5: train it anew"),
 }
 
 
