@@ -38,6 +38,12 @@ def counted(
 
     They stand before a noun ("2 tickets"), first ("2 dune") or in words that tell how many come
     ("my wife and I", "for two").
+
+    Args:
+        words: of the sentence.
+        tags: the tagger's, one for each word.
+        question: the agent's last act.
+        lexicon: the domain's values.
     """
     found = list(tags)
     counts = [slot for slot in lexicon.slots if lexicon.kinds[slot] == "count"]
@@ -76,7 +82,15 @@ def _told(words: Sequence[str]) -> list[tuple[int, int]]:
 def company(
     slot: str, words: Sequence[str], start: int, end: int, lexicon: Lexicon
 ) -> tuple[int, int]:
-    """Returns where the whole of a number of people stands: "with my two" brothers is three."""
+    """Returns where the whole of a number of people stands: "with my two" brothers is three.
+
+    Args:
+        slot: that of the number.
+        words: of the sentence.
+        start: the first word that was tagged.
+        end: the word after the last.
+        lexicon: the domain's values.
+    """
     first, last = start, end
     while first > 0 and words[first - 1] in COUNT_WORDS:
         first -= 1

@@ -25,6 +25,12 @@ def is_denied(words: Sequence[str], start: int, end: int, *, is_first: bool = Tr
     """Returns whether the words around a name say that it is not what is wanted.
 
     Behind another name of its slot, and before a number, a "no" takes back what was said.
+
+    Args:
+        words: of the sentence.
+        start: the first word of the name.
+        end: the word after its last.
+        is_first: whether no other name of its slot stands before it.
     """
     before = CLAUSE.split(" ".join(words[max(start - _MOST_BEFORE, 0) : start]))[-1].strip()
     after = CLAUSE.split(" ".join(words[end : end + _MOST_AFTER]))[0].strip()

@@ -105,6 +105,9 @@ def capitalized(text: str) -> frozenset[str]:
 
     Small words and words all in capitals are left out.
 
+    Raises:
+        TextError: if the text is too long, or blank.
+
     Examples:
         >>> sorted(capitalized("I liked Top Gun. Is Dune in IMAX?"))
         ['dune', 'gun', 'top']
