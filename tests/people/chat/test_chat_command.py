@@ -130,7 +130,7 @@ def test_a_session_of_typed_lines_hostile_ones_too(runs, understander, monkeypat
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["shipped:nobody"], "shipped:<name> must name one of bbqn_map"),
+        (["shipped:nobody"], "shipped:<name> must name one of bbqn_imitate"),
         (["nowhere"], "nowhere is not a run folder: there is no such folder"),
         (["RUN", "--goal", "0"], "--goal must be between 1 and 200, got 0"),
         (["RUN", "--nlu", "endpoint"], "--nlu endpoint and --nlg endpoint need --url and --model"),
