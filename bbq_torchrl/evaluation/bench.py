@@ -127,7 +127,7 @@ def bench_report(
         }
         parts += [_over_table(scores), _pairs_table(scores), OVER_NOTE]
         profiles = {name: {a: _profile(s) for a, s in of.items()} for name, of in scores.items()}
-        title = f"Share of seeds above a score, {len(whole)} settings"
+        title = f"Share of seeds above a score, {len(whole)} setting{'s' * (len(whole) != 1)}"
         draw = partial(draw_bands, profiles, title=title, xlabel="score")
         figures["profiles"] = ("Performance profiles", draw)
     else:

@@ -30,6 +30,7 @@ LEGEND_HEIGHT = 1.0
 
 # Okabe and Ito's palette, also for color-blind readers.
 COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+DASHES = ("-", "--", ":")
 
 
 def moving_average(values: Any, window: int = WINDOW) -> Any:
@@ -214,11 +215,12 @@ def draw_bands(panels: Mapping[str, Mapping[str, Any]], *, title: str, xlabel: s
     """
     figure, axes = _panels(len(panels), 3)
     labels = list(dict.fromkeys(label for curves in panels.values() for label in curves))
-    colors = dict(zip(labels, _colors(len(labels)), strict=True))
+    # More curves than colors: the next ones are dashed.
+    styles = dict(zip(labels, cycle((color, dash) for dash in DASHES for color in COLORS)))
     for panel, (heading, curves) in zip(axes, panels.items(), strict=True):
         for label, (places, values, low, high) in curves.items():
-            color, name = colors[label], label if label in labels else None
-            panel.plot(places, values, color=color, lw=1.8, label=name)
+            (color, dash), name = styles[label], label if label in labels else None
+            panel.plot(places, values, dash, color=color, lw=1.8, label=name)
             panel.fill_between(places, low, high, color=color, alpha=0.12, lw=0)
             labels = [other for other in labels if other != label]  # each is in the legend once
         panel.set(title=heading, xlabel=xlabel, ylim=(0, 1))
