@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 CLAUSE = re.compile(r"[^\w' ]")
 """A mark that ends a clause."""
 
-_MOST_BEFORE, _MOST_AFTER = 8, 6  # words
+_MAX_BEFORE, _MAX_AFTER = 8, 6  # words
 _DENIED_BEFORE, _DENIED_AFTER = (
     [re.compile(pattern.replace("<gap>", ENGLISH["denial_gap"])) for pattern in ENGLISH[name]]
     for name in ("denied_before", "denied_after")
@@ -32,8 +32,8 @@ def is_denied(words: Sequence[str], start: int, end: int, *, is_first: bool = Tr
         end: the word after its last.
         is_first: whether no other name of its slot stands before it.
     """
-    before = CLAUSE.split(" ".join(words[max(start - _MOST_BEFORE, 0) : start]))[-1].strip()
-    after = CLAUSE.split(" ".join(words[end : end + _MOST_AFTER]))[0].strip()
+    before = CLAUSE.split(" ".join(words[max(start - _MAX_BEFORE, 0) : start]))[-1].strip()
+    after = CLAUSE.split(" ".join(words[end : end + _MAX_AFTER]))[0].strip()
     if words[end - 1].endswith("'s"):
         after = f"'s {after}"  # "Friday's no good"
     says_no = is_first and not any(map(str.isdigit, "".join(words[start:end])))

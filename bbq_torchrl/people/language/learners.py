@@ -1,4 +1,4 @@
-"""What learns language: the tagger of slots, and the net of acts, questions and don't-cares.
+"""Learners of language: the tagger of slots, and the net of acts, questions and don't-cares.
 
 The tagger is a linear-chain conditional random field (python-crfsuite).
 """
