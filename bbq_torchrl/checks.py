@@ -33,6 +33,15 @@ class Allowed:
     test: Callable[[Any], bool]
     per_replica: bool = False
 
+    def fault(self, name: str, value: Any) -> str | None:
+        """Returns the sentence on a value that is not allowed, and ``None`` for one that is.
+
+        Examples:
+            >>> BOOLEAN.fault("masked", 1)
+            'masked must be true or false, got 1'
+        """
+        return None if self.test(value) else f"{name} must be {self.text}, got {shown(value)}"
+
 
 def _is_number(value: Any) -> bool:
     return isinstance(value, (int, float)) and not isinstance(value, bool)
@@ -94,6 +103,12 @@ COUNTS = Allowed(
 BOOLEAN = Allowed("true or false", lambda value: isinstance(value, bool))
 TEXT = Allowed("text", lambda value: isinstance(value, str))
 ANY_TEXT = Allowed("text", lambda value: isinstance(value, str) and value != "")
+WORDS = Allowed("text, not blank", lambda value: isinstance(value, str) and bool(value.strip()))
+TEXTS = Allowed(
+    "a list of texts",
+    lambda value: isinstance(value, list) and all(isinstance(text, str) for text in value),
+)
+MAPPING = Allowed("a mapping", lambda value: isinstance(value, dict))
 
 USERS = Allowed(
     "one of paper, people, mixed, or profiles, such as [{share: .7, insists: 1}, {share: .3}]",
@@ -165,6 +180,6 @@ def check(name: str, value: Any, allowed: Allowed, error: type[ValueError] = Val
         Traceback (most recent call last):
         ValueError: mode must be one of draw, mean, got 'drawn'
     """
-    if not allowed.test(value):
-        raise error(f"{name} must be {allowed.text}, got {shown(value)}")
+    if fault := allowed.fault(name, value):
+        raise error(fault)
     return value

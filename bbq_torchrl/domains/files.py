@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from bbq_torchrl.checks import INTEGER, NUMBER, TEXT, Allowed, check
+from bbq_torchrl.checks import INTEGER, NUMBER, TEXT, TEXTS, Allowed, check
 from bbq_torchrl.domains.faults import Source
 from bbq_torchrl.domains.parts import ACTION_KINDS, Action, Goal, ScriptedPolicySpec, repeated
 from bbq_torchrl.utils.files import read_yaml
@@ -297,6 +297,4 @@ def _json(text: str) -> Any:
 
 
 def _texts(where: str, content: object) -> tuple[str, ...]:
-    if not isinstance(content, list) or not all(isinstance(text, str) for text in content):
-        raise ValueError(f"{where} must be a list of texts, got {shown(content)}")
-    return tuple(content)
+    return tuple(check(where, content, TEXTS))

@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bbq_torchrl.checks import TEXTS
 from bbq_torchrl.people.language.confidence import CUES
 from bbq_torchrl.utils.files import write_bytes
 from bbq_torchrl.utils.text import sentence, shown
@@ -100,9 +101,8 @@ def _fault(about: dict[str, Any], arrays: dict[str, np.ndarray]) -> str | None:
     if len(arrays["calibration"]) != CUES or not np.isfinite(arrays["calibration"]).all():
         return f"calibration must be {CUES} finite numbers"
     for name in _TEXTS:
-        entry = about.get(name)
-        if not isinstance(entry, list) or not all(isinstance(text, str) for text in entry):
-            return f"{name} must be a list of texts, got {shown(entry)}"
+        if fault := TEXTS.fault(name, about.get(name)):
+            return fault
     if len(arrays["bag"]) != len(about["features"]):
         return f"bag must have a row for each feature, got {len(arrays['bag'])}"
     threshold = about.get("threshold")

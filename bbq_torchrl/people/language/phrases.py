@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from bbq_torchrl.checks import MAPPING, WORDS, Allowed, one_of, optional
 from bbq_torchrl.people.language.quantities import KINDS, Kind
 from bbq_torchrl.people.language.templates import Template, TemplateError, parse
 from bbq_torchrl.utils.files import read_yaml
@@ -30,6 +31,15 @@ GENERIC = (
 _SECTIONS = ("rules", "user", "agent")
 _DERIVED = ("name", "wishes", "conflict", "choices", "wrong", "words", "q")
 """Rules that are filled in while a sentence is made."""
+
+
+_TEXTS = Allowed(
+    "a list of texts",
+    lambda value: (
+        isinstance(value, list) and value != [] and all(isinstance(t, (str, int)) for t in value)
+    ),
+)
+"""Numbers are texts here: nobody puts the aliases ``[2, two]`` in quotes."""
 
 
 class PhrasesError(FaultsError):
@@ -144,19 +154,19 @@ class _Reader:
             self.faults.append(f"rules must not name each other in a circle, got {circle}")
         return Phrases(read["rules"], read["user"], read["agent"], slots)
 
-    def _slot(self, slot: str, content: object, generic: dict[str, Any]) -> SlotPhrases:
+    def _slot(self, slot: str, content: Any, generic: dict[str, Any]) -> SlotPhrases:
         where = f"slots.{slot}"
         fallback = dict(generic["slot"])
         own = self._mapping(
             where, content, ("name", "nouns", "kind", "aliases", "capitals", *fallback)
         )
         name = own.get("name", slot.replace("_", " "))
-        if not isinstance(name, str) or not name.strip():
-            self.faults.append(f"{where}.name must be text, got {shown(name)}")
+        if fault := WORDS.fault(f"{where}.name", name):
+            self.faults.append(fault)
             name = slot
         kind = own.get("kind")
-        if kind is not None and kind not in KINDS:
-            self.faults.append(f"{where}.kind must be one of {', '.join(KINDS)}, got {shown(kind)}")
+        if fault := optional(one_of(*KINDS), "to find out").fault(f"{where}.kind", kind):
+            self.faults.append(fault)
         aliases = {
             str(value): self._texts(f"{where}.aliases.{value}", texts)
             for value, texts in self._mapping(f"{where}.aliases", own.get("aliases", {})).items()
@@ -176,10 +186,10 @@ class _Reader:
         return SlotPhrases(name, nouns, kind, aliases, capitals, phrases)
 
     def _mapping(
-        self, where: str, content: object, allowed: tuple[str, ...] | None = None
+        self, where: str, content: Any, allowed: tuple[str, ...] | None = None
     ) -> dict[str, Any]:
-        if not isinstance(content, dict):
-            self.faults.append(f"{where} must be a mapping, got {shown(content)}")
+        if fault := MAPPING.fault(where, content):
+            self.faults.append(fault)
             return {}
         unknown = [key for key in content if allowed is not None and key not in allowed]
         self.faults += [
@@ -188,17 +198,13 @@ class _Reader:
         ]
         return {str(key): value for key, value in content.items() if key not in unknown}
 
-    def _texts(self, where: str, content: object) -> tuple[str, ...]:
-        if (
-            not isinstance(content, list)
-            or not content
-            or not all(isinstance(t, (str, int)) for t in content)
-        ):
-            self.faults.append(f"{where} must be a list of texts, got {shown(content)}")
+    def _texts(self, where: str, content: Any) -> tuple[str, ...]:
+        if fault := _TEXTS.fault(where, content):
+            self.faults.append(fault)
             return ()
         return tuple(str(text) for text in content)
 
-    def _templates(self, where: str, content: object, own: str = "") -> tuple[Template, ...]:
+    def _templates(self, where: str, content: Any, own: str = "") -> tuple[Template, ...]:
         templates = []
         for text in self._texts(where, content):
             try:

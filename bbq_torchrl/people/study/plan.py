@@ -9,7 +9,7 @@ from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.checks import PROBABILITY, TEXT, integers
+from bbq_torchrl.checks import PROBABILITY, TEXT, WORDS, Allowed, integers
 from bbq_torchrl.people.dialogue import RULE_NAMES
 from bbq_torchrl.people.study.address import ALLOWED, Address
 from bbq_torchrl.utils.files import read_yaml
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
 
 _MOVIE = "movie"
-_DOMAIN = f"be {_MOVIE} or a domain's folder"
+_DOMAIN = f"{_MOVIE} or a domain's folder"
 _ATTAINABLE = "attainable"
 _DEFAULTS: dict[str, Any] = {
     "domain": _MOVIE,
@@ -176,7 +176,7 @@ def load_study(path: str | Path) -> Study:
         try:
             domain = _domain(file, given["domain"])
         except FileNotFoundError as error:
-            faults.append(f"domain must {_DOMAIN}: {error}")
+            faults.append(f"domain must be {_DOMAIN}: {error}")
         except FaultsError as error:
             faults += [f"domain {shown(given['domain'])}: {fault}" for fault in error.faults]
     if domain is not None:
@@ -215,61 +215,26 @@ def _key_faults(content: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _wrong_values(given: Mapping[str, Any], agents: Mapping[str, str]) -> dict[str, str]:
-    """Returns key to sentence of each value that is of another kind than its key's."""
+    """Returns key to sentence of each value that its key does not allow."""
+    allowed = {
+        **_ALLOWED,
+        "ask_below": _by_agent(agents, PROBABILITY.test, "numbers between 0 and 1"),
+        "control": _by_agent(agents, _are_rules, f"lists of {', '.join(RULE_NAMES)}"),
+    }
+    faults = {key: allowed[key].fault(key, given[key]) for key in allowed if key in given}
+    return {key: fault for key, fault in faults.items() if fault is not None}
 
-    def of_agents(value: Any, holds: Callable[[Any], bool]) -> bool:
+
+def _by_agent(agents: Mapping[str, str], holds: Callable[[Any], bool], values: str) -> Allowed:
+    def test(value: Any) -> bool:
         is_known = isinstance(value, dict) and set(value) <= set(agents or value)
         return is_known and all(map(holds, value.values()))
 
-    def are_rules(value: Any) -> bool:
-        return isinstance(value, list) and all(name in RULE_NAMES for name in value)
+    return Allowed(f"a mapping of agents of the study to {values}", test)
 
-    kinds: dict[str, tuple[Callable[[Any], bool], str]] = {
-        "name": (_is_text, "be text, not blank"),
-        "consent": (_is_text, "be text, not blank"),
-        "agents": (
-            _are_sources,
-            f"map one name or more to where the agent is, both text ({_QUOTED})",
-        ),
-        "pairs": (
-            lambda value: isinstance(value, list),
-            "be a list of pairs of agents, [] for none",
-        ),
-        "domain": (_is_text, _DOMAIN),
-        "ask_below": (
-            lambda value: of_agents(value, PROBABILITY.test),
-            "map agents of the study to numbers between 0 and 1",
-        ),
-        "control": (
-            lambda value: of_agents(value, are_rules),
-            f"map agents of the study to lists of {', '.join(RULE_NAMES)}",
-        ),
-        "participants": _count(10_000),
-        "sessions": _count(100),
-        "max_turns": _count(500),
-        "idle_minutes": _count(10_080),
-        "joins_per_minute": _count(10_000),
-        "retention": (TEXT.test, "be text: until when the data are kept"),
-        "url": (TEXT.test, f"be {ALLOWED}"),
-        "join_parameters": (
-            _are_parameters,
-            "be a list of distinct names of parameters, such as [PROLIFIC_PID]: letters, digits, "
-            "_ and -",
-        ),
-        "completion_code": (
-            lambda value: isinstance(value, str) and len(value) <= _LONGEST_CODE,
-            f"be text of at most {_LONGEST_CODE} characters (numbers in quotes)",
-        ),
-        "completion_url": (
-            lambda value: value == "" or (isinstance(value, str) and bool(_HTTPS.fullmatch(value))),
-            "be a link that begins with https://, without spaces",
-        ),
-    }
-    return {
-        key: f"{key} must {allowed}, got {shown(given[key])}"
-        for key, (holds, allowed) in kinds.items()
-        if key in given and not holds(given[key])
-    }
+
+def _are_rules(value: Any) -> bool:
+    return isinstance(value, list) and all(name in RULE_NAMES for name in value)
 
 
 def _domain(file: Path, name: str) -> Domain:
@@ -295,16 +260,12 @@ def _goal_faults(chosen: Any, attainable: list[int], count: int, sessions: int) 
         )
 
 
-def _count(most: int) -> tuple[Callable[[Any], bool], str]:
-    return integers(1, most).test, f"be a whole number between 1 and {most}"
-
-
 def _are_sources(value: Any) -> bool:
     is_map = isinstance(value, dict) and value != {}
-    return is_map and all(map(_is_text, [*value, *value.values()]))
+    return is_map and all(map(WORDS.test, [*value, *value.values()]))
 
 
-def _are_parameters(value: object) -> bool:
+def _are_parameters(value: Any) -> bool:
     return (
         isinstance(value, list)
         and all(isinstance(name, str) and _PARAMETER.fullmatch(name) for name in value)
@@ -312,14 +273,10 @@ def _are_parameters(value: object) -> bool:
     )
 
 
-def _is_text(value: object) -> bool:
-    return isinstance(value, str) and bool(value.strip())
-
-
 def _pair_faults(pairs: list[Any], agents: Mapping[str, str]) -> Iterator[str]:
     seen: list[set[str]] = []
     for pair in pairs:
-        if not isinstance(pair, list) or len(pair) != 2 or not all(map(_is_text, pair)):
+        if not isinstance(pair, list) or len(pair) != 2 or not all(map(WORDS.test, pair)):
             yield f"pairs must hold pairs of two agents, both text ({_QUOTED}), got {shown(pair)}"
             continue
         if pair[0] == pair[1]:
@@ -333,3 +290,36 @@ def _pair_faults(pairs: list[Any], agents: Mapping[str, str]) -> Iterator[str]:
                     f"pairs must name agents of the study ({', '.join(agents)}), "
                     f"got {shown(agent)} in {shown(pair)}"
                 )
+
+
+_ALLOWED = {
+    "name": WORDS,
+    "consent": WORDS,
+    "agents": Allowed(
+        f"a mapping of one name or more to where the agent is, both text ({_QUOTED})", _are_sources
+    ),
+    "pairs": Allowed(
+        "a list of pairs of agents, [] for none", lambda value: isinstance(value, list)
+    ),
+    "domain": Allowed(_DOMAIN, WORDS.test),
+    "participants": integers(1, 10_000),
+    "sessions": integers(1, 100),
+    "max_turns": integers(1, 500),
+    "idle_minutes": integers(1, 10_080),
+    "joins_per_minute": integers(1, 10_000),
+    "retention": Allowed("text: until when the data are kept", TEXT.test),
+    "url": Allowed(ALLOWED, TEXT.test),
+    "join_parameters": Allowed(
+        "a list of distinct names of parameters, such as [PROLIFIC_PID]: letters, digits, _ and -",
+        _are_parameters,
+    ),
+    "completion_code": Allowed(
+        f"text of at most {_LONGEST_CODE} characters (numbers in quotes)",
+        lambda value: isinstance(value, str) and len(value) <= _LONGEST_CODE,
+    ),
+    "completion_url": Allowed(
+        "a link that begins with https://, without spaces",
+        lambda value: value == "" or (isinstance(value, str) and bool(_HTTPS.fullmatch(value))),
+    ),
+}
+"""The values that each key allows, those of ``ask_below`` and ``control`` aside."""

@@ -15,7 +15,7 @@ GOOD = {
     "participants": "12",
 }
 _IN_QUOTES = "(yes, no, numbers and dates in quotes)"
-_TEXTS = f"must map one name or more to where the agent is, both text {_IN_QUOTES}"
+_TEXTS = f"must be a mapping of one name or more to where the agent is, both text {_IN_QUOTES}"
 _OF_TEXT = f"of two agents, both text {_IN_QUOTES}"
 
 
@@ -61,8 +61,11 @@ def test_an_agent_may_be_more_cautious_than_another_of_the_same_run(write):
     [
         ({"name": "''"}, "name must be text, not blank, got ''"),
         ({"consent": None}, "it lacks the keys consent"),
-        ({"agents": "{}"}, "agents must map one name or more to where the agent is, both text"),
-        ({"agents": "{one: 7}"}, "agents must map one name or more"),
+        (
+            {"agents": "{}"},
+            "agents must be a mapping of one name or more to where the agent is, both text",
+        ),
+        ({"agents": "{one: 7}"}, "agents must be a mapping of one name or more"),
         *(
             ({"agents": f"{{{name}: a, two: b}}", "pairs": "[]"}, f"agents {_TEXTS}, got {{{read}")
             for name, read in (("yes", "True"), ("1", "1"), ("2026-01-31", "datetime.date"))
@@ -76,12 +79,12 @@ def test_an_agent_may_be_more_cautious_than_another_of_the_same_run(write):
         ({"pairs": "[[one, two], [two, one]]"}, "pairs must be declared once, got ['two', 'one']"),
         ({"pairs": "[one]"}, f"pairs must hold pairs {_OF_TEXT}, got 'one'"),
         ({"pairs": "one"}, "pairs must be a list of pairs of agents, [] for none, got 'one'"),
-        ({"participants": "0"}, "participants must be a whole number between 1 and 10000, got 0"),
-        ({"participants": "true"}, "participants must be a whole number between 1 and 10000"),
+        ({"participants": "0"}, "participants must be an integer from 1 to 10000, got 0"),
+        ({"participants": "true"}, "participants must be an integer from 1 to 10000"),
         ({"sessions": "3"}, "sessions must be a multiple of the number of agents (2)"),
-        ({"max_turns": "none"}, "max_turns must be a whole number between 1 and 500, got 'none'"),
-        ({"idle_minutes": "-1"}, "idle_minutes must be a whole number between 1 and 10080, got -1"),
-        ({"joins_per_minute": "0"}, "joins_per_minute must be a whole number between 1 and 10000"),
+        ({"max_turns": "none"}, "max_turns must be an integer from 1 to 500, got 'none'"),
+        ({"idle_minutes": "-1"}, "idle_minutes must be an integer from 1 to 10080, got -1"),
+        ({"joins_per_minute": "0"}, "joins_per_minute must be an integer from 1 to 10000"),
         ({"retention": "2027-12-31"}, "retention must be text: until when the data are kept, got"),
         *(
             (
@@ -122,12 +125,21 @@ def test_an_agent_may_be_more_cautious_than_another_of_the_same_run(write):
         ({"goals": "[1, 1]"}, "goals must be distinct and at least as many as sessions (2)"),
         ({"domain": "nowhere"}, "domain must be movie or a domain's folder: "),
         ({"domain": "7"}, "domain must be movie or a domain's folder, got 7"),
-        ({"ask_below": "{three: .9}"}, "ask_below must map agents of the study to numbers between"),
-        ({"ask_below": "{one: 2}"}, "ask_below must map agents of the study to numbers between"),
-        ({"control": "{three: []}"}, "control must map agents of the study to lists of yes_ends,"),
+        (
+            {"ask_below": "{three: .9}"},
+            "ask_below must be a mapping of agents of the study to numbers between",
+        ),
+        (
+            {"ask_below": "{one: 2}"},
+            "ask_below must be a mapping of agents of the study to numbers between",
+        ),
+        (
+            {"control": "{three: []}"},
+            "control must be a mapping of agents of the study to lists of yes_ends,",
+        ),
         (
             {"control": "{one: [shout]}"},
-            "control must map agents of the study to lists of yes_ends",
+            "control must be a mapping of agents of the study to lists of yes_ends",
         ),
         ({"color": "red"}, "'color' is not a key of a study; allowed are name, consent"),
     ],
