@@ -37,7 +37,7 @@ settings.load_profile("same_draws")
 
 @pytest.fixture(autouse=True)
 def _seeded_by_its_name(request: pytest.FixtureRequest) -> None:
-    """What a test draws depends on its name alone, not on the tests that ran before it."""
+    """Seeds a test by its name alone, not by the tests that ran before it."""
     seed = zlib.crc32(request.node.nodeid.encode())
     torch.manual_seed(seed)
     np.random.seed(seed)

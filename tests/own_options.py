@@ -13,7 +13,7 @@ from bbq_torchrl.runs import compose as store
 
 @contextmanager
 def own_options(*, packages=False):
-    """What is registered within is gone afterwards, and so are folders of the module path.
+    """Removes what was registered within, and folders of the module path.
 
     Args:
         packages: whether the options of installed packages are found once more.

@@ -29,7 +29,7 @@ class _SweepBegins(BaseException):
 def prepare(
     arguments: Sequence[str], check: Callable[[Config], object] = lambda config: None
 ) -> SimpleNamespace | Sweep | None:
-    """What the command line asks for: a run as composed, a sweep, or None where Hydra shows.
+    """The request of a command line: a run as composed, a sweep, or None where Hydra shows.
 
     The command is that of a person who wants tracebacks: a refusal is an exception.
     """

@@ -27,7 +27,7 @@ TINY = (
     "agent.hidden=[8,8]",
     "env.max_turn=8",
 )
-"""Where a key is given again after these, that is what counts."""
+"""A key given again after these replaces theirs."""
 
 
 @contextmanager

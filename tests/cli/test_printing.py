@@ -1,4 +1,4 @@
-"""What is printed where it cannot be; tests/adversary/test_output.py has the whole commands."""
+"""Output that cannot be printed; tests/adversary/test_output.py has the whole commands."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the documentation's tests share: the pages and the code in them."""
+"""Parts shared by the documentation's tests: the pages and the code in them."""
 
 from __future__ import annotations
 

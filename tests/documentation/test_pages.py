@@ -1,4 +1,4 @@
-"""What pages say of the repository and of the configuration is so, and what is made is current."""
+"""Pages agree with the repository and the configuration; generated parts are current."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is kept of a run, and the tables that are made of it."""
+"""The files kept of a run, and the tables made of them."""
 
 from __future__ import annotations
 

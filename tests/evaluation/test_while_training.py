@@ -52,7 +52,7 @@ def small(restaurant_folder):
 
 
 def played(config, trainer, actor, round_number):
-    """What the reported policy does with the users of a round, in another environment."""
+    """Plays the reported policy with the users of a round in another environment."""
     env = config.env.make(trainer.env.domain, (2, 15))
     env.set_round(round_number)
     seed = derive_seed(config.seed, "evaluate while training", round_number)

@@ -1,4 +1,4 @@
-"""Where the examples are, and a training that takes no time."""
+"""The folder of the examples, and a training that takes no time."""
 
 from __future__ import annotations
 

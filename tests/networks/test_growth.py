@@ -21,7 +21,7 @@ LATE_OUTPUTS = torch.tensor([True, False, True, False])
 
 
 def places_of_active_weights(layout):
-    """Where the weights of a network of the active features and actions lie, int64 [P_small]."""
+    """Indices of the weights of the active features and actions, int64 [P_small]."""
     layers = layout.unflatten(torch.arange(layout.numel))
     (first, bias), *between, (last, last_bias) = layers
     parts = [first[INPUTS], bias, *(part for layer in between for part in layer)]

@@ -6,7 +6,7 @@ from bbq_torchrl.people.language import Frame, TextError, Unclear, Understood
 
 
 class Acts:
-    """Who reads acts as transcripts write them; not ``?``, and a godzilla is two movies."""
+    """Understands acts as transcripts write them; not ``?``, and a godzilla is two movies."""
 
     def __call__(self, text, question=None):
         if text.startswith("\x00"):

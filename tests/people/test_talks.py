@@ -14,7 +14,7 @@ from scripts.talks.talk import Talk
 
 
 class Ears:
-    """Who hears what a person means, less what ``change`` takes away."""
+    """An understander of what a person means, less what ``change`` takes away."""
 
     def __init__(self, change=lambda frame: frame):
         self.person, self.change = None, change

@@ -1,4 +1,4 @@
-"""What depends on the machine and the domain is checked before anything runs."""
+"""Checks that depend on the machine and the domain, before anything runs."""
 
 from __future__ import annotations
 

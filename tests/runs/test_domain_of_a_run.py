@@ -1,4 +1,4 @@
-"""What a reader of a run is told of its domain."""
+"""The domain of a run, as its readers are told."""
 
 from __future__ import annotations
 

@@ -27,7 +27,7 @@ pytestmark = pytest.mark.usefixtures("without_curves")
 
 
 class Killed(BaseException):
-    """What ends a process: nothing more is written."""
+    """Ends a process: nothing more is written."""
 
 
 def test_an_interrupted_extension_goes_on(copy, kept, tmp_path):

@@ -66,7 +66,7 @@ def composed(restaurant_folder):
 
 
 def trained(config, folder):
-    """What is learned, and the metrics but for the times."""
+    """The learned weights, and the metrics but for the times."""
     trainer, _ = build_trainer(config, folder)
     plain = [
         {k: v for k, v in row.items() if not k.startswith("seconds")} for row in trainer.train()

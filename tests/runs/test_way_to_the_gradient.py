@@ -1,4 +1,4 @@
-"""How much of the package a training enters before its first gradient step."""
+"""Files and functions that a training enters before its first gradient step."""
 
 from __future__ import annotations
 

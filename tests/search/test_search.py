@@ -37,7 +37,7 @@ ROUNDS = 4
 
 
 class Killed(BaseException):
-    """What ends a process."""
+    """Ends a process as a kill would."""
 
 
 def success(lr):

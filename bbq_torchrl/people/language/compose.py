@@ -262,7 +262,7 @@ class Composer:
             left["<name>"] = [Piece(self._phrases.slots[slot].name)]
         possible = [option for option in options if is_possible(option, left, self._rules)]
         if turn.left and values is None:
-            # Phrases that say a value of their own are few among those that need none.
+            # Few phrases name a value themselves; most need none.
             richer = [t for t in possible if any(kind == "slot" for kind, _ in t.names())]
             if richer and turn.rng.random() < 0.4:
                 possible = richer

@@ -96,7 +96,7 @@ class Endpoint:
 
 
 class EndpointUnderstander:
-    """Understands by an endpoint; falls back to an own understander.
+    """Understands by an endpoint; falls back to the local understander.
 
     Args:
         endpoint: whom to ask.
@@ -120,7 +120,7 @@ class EndpointUnderstander:
         return self._own.asks(understood)
 
     def __call__(self, text: str, question: Frame | None = None) -> Understood:
-        """Returns the meaning of ``text``; where the own understander agrees, with its confidence.
+        """Returns the meaning of ``text``, with its confidence if the local understander agrees.
 
         Raises:
             TextError: if nothing of the text can be read, or it is too long.
@@ -175,7 +175,7 @@ class EndpointUnderstander:
 
 
 class EndpointGenerator:
-    """Says an agent's acts by an endpoint; falls back to an own generator.
+    """Says an agent's acts by an endpoint; falls back to the local generator.
 
     Args:
         endpoint: whom to ask.
@@ -200,7 +200,7 @@ class EndpointGenerator:
         session: str | int = 0,
         turn: int = 0,
     ) -> str:
-        """Returns an agent's sentence; arguments as those of the own generator."""
+        """Returns an agent's sentence; arguments as those of the local generator."""
         own = self._own.agent(frame, held, session=session, turn=turn)
         given = {"act": str(frame), "for_example": own}
         try:
@@ -212,7 +212,7 @@ class EndpointGenerator:
             text = legible(answer["text"])
         except (KeyError, TypeError, AttributeError, TextError):
             text = ""
-        # A value that the own sentence says must be said by the other as well.
+        # A value that the local sentence says must be said by the other as well.
         said = [value for value in frame.informs.values() if value.lower() in own.lower()]
         if not text or any(value.lower() not in text.lower() for value in said):
             self.fallbacks["invalid"] += 1
@@ -221,11 +221,11 @@ class EndpointGenerator:
         return text
 
     def clarify(self, understood: Understood, *, session: str | int = 0, turn: int = 0) -> str:
-        """Returns the own generator's question about what was not understood."""
+        """Returns the local generator's question about what was not understood."""
         return self._own.clarify(understood, session=session, turn=turn)
 
     def check(self, values: Mapping[str, str], *, session: str | int = 0, turn: int = 0) -> str:
-        """Returns the own generator's question whether some values are right."""
+        """Returns the local generator's question whether some values are right."""
         return self._own.check(values, session=session, turn=turn)
 
 

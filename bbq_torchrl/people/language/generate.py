@@ -26,7 +26,7 @@ _MAX_IN_CONFLICT = 4
 _MAX_CHOICES = 5
 _NO_WISH = (ANY, NO_MATCH_TEXT, AVAILABLE_TEXT)
 
-# Values that bring their own: "it starts after 10pm", "it is tomorrow".
+# Values that bring their preposition: "it starts after 10pm", "it is tomorrow".
 _PREPOSITION = re.compile(
     r"\b(at|on) (?=(after|around|as|before|by|in|next|this|today|tomorrow|tonight)\b)"
 )

@@ -179,7 +179,7 @@ def measure_own(
 def measure_round_trip(
     understand: Understander, generator: Generator, turns: Sequence[tuple[Frame | None, Frame]]
 ) -> dict[str, float]:
-    """Returns the share of frames that come back from the own sentences.
+    """Returns the share of frames that come back from the grammar's own sentences.
 
     Args:
         understand: who understands.

@@ -51,7 +51,7 @@ TICKS = _STEPS + _BLIND_STEPS + 2 * EPOCHS
 
 _MAX_WORDS = 120
 _CALM = 0.3  # sentences of the grammar are more crowded than those of people
-_OWN = 4  # to so many sentences one of the grammar's own, at least
+_OWN = 4  # at least one sentence of the grammar for this many others
 _PLAYED = 4  # sentences of simulated users to one of the others
 _TAGGED = 16  # the tagger learns from one in so many of these
 _COPIES = 4  # at most, of each of people's sentences, with other values

@@ -1,4 +1,4 @@
-"""What an agent thinks of its actions, and why."""
+"""An agent's values of its actions, and its reasons."""
 
 from __future__ import annotations
 

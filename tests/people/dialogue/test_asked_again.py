@@ -28,7 +28,7 @@ class Speaker:
 
 
 class Ears:
-    """Who hears some texts surely, some not, and of some one value in two ways."""
+    """An understander sure of some texts and not of others, and of two readings of one value."""
 
     def __init__(self):
         self.lexicon = SimpleNamespace(key=lambda slot, value: value)

@@ -1,4 +1,4 @@
-"""What an agent sees in a chat is what it would see in the simulator."""
+"""An agent sees the same in a chat as in the simulator."""
 
 from __future__ import annotations
 

@@ -65,12 +65,12 @@ def prints(study):
 
 
 def make(study):
-    """What the command line's --talker names."""
+    """The talker that --talker names."""
     return FakeTalker(study.domain)
 
 
 def script(domain, goal):
-    """What a person types who gets all they want, but for the farewell."""
+    """The messages of a person who gets all they want, without the farewell."""
     wishes = "; ".join(f"{slot}={value}" for slot, value in goal.constraints.items())
     questions = [f"ask {' '.join(goal.requests)}"] if goal.requests else []
     return [wishes, *questions, "book"]

@@ -1,4 +1,4 @@
-"""Where a server listens, where people reach it, and who may send it forms."""
+"""Addresses: where a server listens, where people reach it, whose forms it takes."""
 
 from __future__ import annotations
 

@@ -134,7 +134,7 @@ PHONE = {"viewport": {"width": 360, "height": 640}, "has_touch": True, "is_mobil
 
 
 def in_sight(page, selector):
-    """How many pixels of an element's height are on the screen."""
+    """Returns the pixels of an element's height that are on the screen."""
     box, height = page.locator(selector).bounding_box(), page.viewport_size["height"]
     return min(box["y"] + box["height"], height) - max(box["y"], 0)
 

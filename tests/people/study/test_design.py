@@ -1,4 +1,4 @@
-"""Who meets which agent when."""
+"""The order in which people meet agents."""
 
 from __future__ import annotations
 

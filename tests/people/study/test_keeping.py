@@ -1,4 +1,4 @@
-"""Who can read a study's files, copies of the living file, and people who are forgotten."""
+"""Permissions of a study's files, copies of the live file, and forgetting people."""
 
 from __future__ import annotations
 

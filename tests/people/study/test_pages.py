@@ -1,4 +1,4 @@
-"""What people see and do, from the first page to the last."""
+"""The pages that people see, from the first to the last."""
 
 from __future__ import annotations
 

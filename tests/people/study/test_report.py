@@ -79,7 +79,7 @@ def test_a_warning_is_told_from_what_comes_with_length(fill):
     results = fill([(5, 1), (4, 2), (1, 5), (2, 5)])
 
     def in_doubt(session):
-        """What fails goes on for an answer in doubt; at first it looks like the others."""
+        """Failures continue for an answer in doubt; at first they look like the others."""
         last = session.exchanges[-1]
         more = replace(last, beliefs={**last.beliefs, "entropy": 2.0})
         return replace(session, exchanges=(*session.exchanges, more))

@@ -95,7 +95,7 @@ def test_the_longest_text_in_the_widest_letters_fits_and_the_own_origin_is_serve
 
 
 def answers(site, link, receive, **headers):
-    """What the application sends to a form that comes as ``receive`` says."""
+    """Returns what the application sends for a form that comes as ``receive`` says."""
     sent = []
 
     async def send(message):

@@ -37,7 +37,7 @@ class Scripted:
 
 
 def make_users(study):
-    """What the command line's --users names."""
+    """The users that --users names."""
     return lambda goal, seed: Scripted(study.domain, goal, seed)
 
 

@@ -1,4 +1,4 @@
-"""What is on the disk, when, and what becomes of a damaged or foreign file."""
+"""The study's file: what it has when, and damaged or foreign ones."""
 
 from __future__ import annotations
 
