@@ -8,13 +8,21 @@ import shutil
 import sys
 from typing import TYPE_CHECKING
 
-from scripts.docs_blocks.common import FIGURES, RESULTS, ROOT, block, table
+from bbq_torchrl.utils.statistics import estimate
+from scripts.docs_blocks.common import FIGURES, RESULTS, ROOT, block, code, table
 from scripts.talks.counts import SHARES, read, shares
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
 EXAMPLES = ROOT / "examples"
+_SUMMARY = {
+    "booked after 1,000": "booked_after_1000",
+    "booked after 2,000": "booked_after_2000",
+    "final success": "success_after_2000",
+    "pass^8": "pass_8",
+}
+"""Column of the benchmark's summary -> column of its file."""
 _FEW = "five cards"  # the label of the measurement of all agents
 
 
@@ -47,8 +55,26 @@ def _uncertainty() -> str:
 def _bench() -> str:
     """Returns the benchmark's page without its heading, one heading level deeper."""
     text = (RESULTS / "bench" / "bench.md").read_text(encoding="utf-8").split("\n", 2)[2]
-    text = re.sub(r"\]\((\w+)\.png\)", r"](figures/bench_\1.png)", text)
-    return text.replace("\n#", "\n##").replace("```bash", "```text").strip()
+    text = re.sub(r"\]\((\w+)\.png\)", r"](../figures/bench_\1.png)", text)
+    return text.replace("```bash", "```text").strip()
+
+
+@block("bench.summary")
+def _bench_summary() -> str:
+    """Returns a table of the published benchmark for each domain, the earliest agents first."""
+    by_domain: dict[str, dict[str, list[Mapping[str, str]]]] = {}
+    for row in read(RESULTS / "bench" / "bench.csv"):
+        by_domain.setdefault(row["domain"], {}).setdefault(row["agent"], []).append(row)
+    tables = []
+    for domain, agents in by_domain.items():
+        rows = [
+            (code(agent), *(estimate([float(row[key]) for row in of]) for key in _SUMMARY.values()))
+            for agent, of in agents.items()
+        ]
+        rows.sort(key=lambda row: row[1].value, reverse=True)
+        head = (f"domain {code(domain)}, errors at the reference", *_SUMMARY)
+        tables.append(table(head, [(row[0], *map(str, row[1:])) for row in rows]))
+    return "\n\n".join(tables)
 
 
 @block("study.simulated")

@@ -211,6 +211,22 @@ def _spikes() -> str:
     return table((*head, *(f"booked after {n:,}" for n in _SPIKED), "final"), shown)
 
 
+@block("gp.table1")
+def _gaussian_process() -> str:
+    """Returns the Gaussian process next to agents of Table 1, a table for each environment."""
+    budgets = (500, 1_000, 2_000, 5_000)
+    tables = []
+    for env, of in (("full domain", "full"), ("domain extension", "extension")):
+        rows = []
+        for name in ("gp", "bbqn_map_soft", "bbqn_map", "dqn_boltzmann", "dqn"):
+            (group,) = groups(f"table1/{of}/{name}")
+            booked = [str(estimate(group.booked(first))) for first in budgets]
+            rows.append((group.agent, *booked, str(estimate(group.final)), f"{group.reward:.2f}"))
+        head = (env, *(f"booked after {first:,}" for first in budgets), "final", "reward")
+        tables.append(table(head, rows))
+    return "\n\n".join(tables)
+
+
 @block("results.scripts")
 def _best_script() -> str:
     """Returns the sentence on the success of scripted policies in the full domain."""
