@@ -26,7 +26,7 @@ def runs(add):
 def test_every_cell_has_a_recipe():
     recipes = {name for name in options("experiment") if name.startswith("table1/")}
     agents = {name.replace("-", "_").lower() for name in PAPER["full"]}
-    agents.add("bbqn_map_soft")  # ours, beside the paper's nine
+    agents |= {"bbqn_map_soft", "gp"}  # ours, in addition to the paper's nine
     assert recipes == {f"table1/{env}_{name}" for env in ("full", "extension") for name in agents}
     for recipe, env, rounds in (
         ("full_dqn_vime_mc", "full", 150),
