@@ -132,6 +132,13 @@ class Annealed(Protocol):
         """Advances the schedule; called after each round, with 1."""
 
 
+class SeesSuccess(Protocol):
+    """A module that acts by what its replicas have achieved."""
+
+    def see_success(self, success_rate: Tensor, /) -> None:
+        """Receives the share of a round's dialogues that succeeded, float64 [replicas]."""
+
+
 # -- modules of a replay buffer's transform ---------------------------------------------------
 
 

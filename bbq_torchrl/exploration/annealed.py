@@ -1,4 +1,4 @@
-"""Annealed exploration: ε-greedy and Boltzmann."""
+"""Annealed exploration: ε-greedy and Boltzmann, and uniform play until a success."""
 
 from __future__ import annotations
 
@@ -85,6 +85,55 @@ class BatchedEGreedy(EGreedyModule):
         """Writes the action [*batch], random where it explores."""
         check_batch("eps", self.eps, tensordict.batch_size)
         return super().forward(tensordict)
+
+
+class UniformUntilSuccess(BatchedEGreedy):
+    """Replaces every action by a uniformly random legal one until a replica's first success.
+
+    Afterwards the replica's actions stay as they are. Place it last in a policy of batch size
+    [replicas, dialogues]. Which replicas have succeeded is a buffer, so checkpoints include it.
+
+    Args:
+        spec: the spec of the action.
+        replicas: the number of replicas.
+
+    Keyword Args:
+        action_mask_key: bool [*batch, N], or None for no mask.
+        device: the buffer's device.
+
+    Examples:
+        >>> import torch
+        >>> from tensordict import TensorDict
+        >>> from torchrl.data import Categorical
+        >>> explore = UniformUntilSuccess(Categorical(4), 2)
+        >>> explore.see_success(torch.tensor([0.0, 0.02]))
+        >>> td = TensorDict(action=torch.zeros(2, 100).long(), batch_size=[2, 100])
+        >>> explore(td)["action"].bool().any(-1)
+        tensor([ True, False])
+    """
+
+    def __init__(
+        self,
+        spec: TensorSpec,
+        replicas: int,
+        *,
+        action_mask_key: NestedKey | None = None,
+        device: torch.device | None = None,
+    ) -> None:
+        super().__init__(
+            spec, torch.ones(replicas, 1), 0.0, action_mask_key=action_mask_key, device=device
+        )
+
+    def step(self, frames: int = 1) -> None:
+        """Changes nothing: only a success does."""
+
+    def see_success(self, success_rate: Tensor) -> None:
+        """Ends uniform play in replicas with a success; called after each round.
+
+        Args:
+            success_rate: the share of the round's dialogues that succeeded, [replicas].
+        """
+        self.eps.masked_fill_(success_rate.to(self.eps.device).unsqueeze(-1) > 0, 0.0)
 
 
 class Boltzmann(TensorDictModuleBase):

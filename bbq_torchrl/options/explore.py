@@ -30,8 +30,11 @@ if TYPE_CHECKING:
     from bbq_torchrl.options.task import Task
 
 
-Exploration = tuple["TensorDictModuleBase", "dict[str, Callable[[], float | Tensor]]"]
-"""A policy, and functions that return its metrics by name, as one number or [replicas]."""
+ExploreMetrics = dict[str, "Callable[[], float | Tensor]"]
+"""Functions that return metrics by name, as one number or [replicas]."""
+
+Exploration = tuple["TensorDictModuleBase", ExploreMetrics]
+"""A policy and its metrics."""
 
 
 @dataclass
@@ -44,6 +47,10 @@ class ExploreOption(Option):
 
     group: ClassVar[str] = "explore"
 
+    uniform_first: bool = setting(
+        False, BOOLEAN, "play uniformly at random until a replica's first success in training"
+    )
+
     needs: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
@@ -55,6 +62,24 @@ class ExploreOption(Option):
             greedy: the agent's policy without exploration.
             task: the task; the policy acts on batches [replicas, dialogues].
         """
+
+    def begin_uniformly(
+        self, policy: TensorDictModuleBase, metrics: ExploreMetrics, task: Task
+    ) -> Exploration:
+        """Returns the policy and metrics of :meth:`make`, with uniform play first if so set."""
+        if not self.uniform_first:
+            return policy, metrics
+        from tensordict.nn import TensorDictSequential
+
+        from bbq_torchrl.exploration.annealed import UniformUntilSuccess
+
+        first = UniformUntilSuccess(
+            task.action_spec, task.replicas, action_mask_key=task.action_mask_key
+        )
+        return TensorDictSequential(policy, first), {
+            **metrics,
+            "uniform": lambda: first.eps.squeeze(-1),
+        }
 
 
 @register

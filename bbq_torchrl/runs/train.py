@@ -205,6 +205,7 @@ def make_agent(config: Config, env: EnvBase) -> Agent:
     policy, metrics = build.checked_policy(
         config.explore, config.explore.make(actor, config.agent.make_greedy(actor), task)
     )
+    policy, metrics = config.explore.begin_uniformly(policy, metrics, task)
     loss, rewards = build.checked_loss(config.intrinsic, config.intrinsic.make(loss, task))
     config.spike.imitate(losses_of(loss)[0])
     transforms = [*config.agent.make_transforms(task), *rewards]

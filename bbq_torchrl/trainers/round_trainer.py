@@ -18,6 +18,7 @@ from bbq_torchrl.protocols import (
     Annealed,
     ReplicaOptimizer,
     Resampled,
+    SeesSuccess,
     enter_round,
     modules_with,
     provides,
@@ -315,9 +316,12 @@ class RoundTrainer:
         self._begin_phase("collect", round_number)
         for module in modules_with(self.policy, Resampled):
             module.resample()
-        return collect_dialogues(
+        collected = collect_dialogues(
             self.replay, self.env, self.policy, self.dialogues, max_steps=self.max_steps
         )
+        for seeing in modules_with(self.policy, SeesSuccess):
+            seeing.see_success(collected["success_rate"])
+        return collected
 
     def _learn(self, round_number: int) -> dict[str, list[float]]:
         """Learns and returns the means of the loss's metrics, for each replica."""

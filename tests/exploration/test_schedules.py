@@ -14,6 +14,7 @@ from torchrl.data import Categorical, OneHot
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl.exploration import BatchedEGreedy, Boltzmann
+from bbq_torchrl.exploration.annealed import UniformUntilSuccess
 from bbq_torchrl.networks import q_actor
 
 STARTS, ENDS = torch.tensor([[0.9], [0.5], [0.3]]), torch.tensor([[0.1], [0.5], [0.2]])
@@ -99,3 +100,23 @@ def test_values_that_do_not_fit_the_batch_are_refused(make, batch):
     td["action_mask"] = torch.ones(*batch, 5).bool()
     with pytest.raises(ValueError, match=r"shape \[3, 1\] must broadcast with the batch, got"):
         make(STARTS, ENDS, 4)(td)
+
+
+def test_replicas_play_uniformly_among_legal_actions_until_their_first_success():
+    n, explore = 20_000, UniformUntilSuccess(Categorical(4), 3, action_mask_key="action_mask")
+    explore.see_success(torch.tensor([0.0, 0.5, 0.0], dtype=torch.float64))
+    explore.step(1000)  # a round changes nothing, only a success does
+    explore.see_success(torch.tensor([0.0, 0.0, 0.0], dtype=torch.float64))
+    loaded = UniformUntilSuccess(Categorical(4), 3, action_mask_key="action_mask")
+    loaded.load_state_dict(explore.state_dict())
+    legal = torch.tensor([True, False, True, True]).expand(3, n, 4)
+    td = TensorDict(action=torch.full((3, n), 2), action_mask=legal, batch_size=[3, n])
+    for module in (explore, loaded):
+        action = module(td.clone())["action"]
+        assert bool((action[1] == 2).all())
+        for replica in (0, 2):
+            share = action[replica].bincount(minlength=4) / n
+            expected = torch.tensor([1.0, 0.0, 1.0, 1.0]) / 3
+            assert (share - expected).abs().max() < 5 * (0.25 / n) ** 0.5
+    with set_exploration_type(ExplorationType.DETERMINISTIC):
+        assert bool((explore(td.clone())["action"] == 2).all())

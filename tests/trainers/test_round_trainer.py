@@ -10,6 +10,7 @@ from torch.optim import Adam
 from torchrl.envs import ExcludeTransform, TransformedEnv
 from trainer_parts import GuessEnv, make_trainer
 
+from bbq_torchrl.exploration.annealed import UniformUntilSuccess
 from bbq_torchrl.options import ProtocolOption
 from bbq_torchrl.trainers import TrainingError, derive_seed
 
@@ -79,6 +80,35 @@ def test_rounds_follow_the_protocol_and_move_schedules_and_environment(tmp_path,
     assert [row["epsilon"] for row in rows] == pytest.approx([0.8, 0.6])
     assert trainer.policy[-1].resampled == 2
     assert trainer.env.rounds_seen == [0, 0, 1]  # the spike plays in the state of round 0
+
+
+def test_uniform_play_ends_with_a_replicas_first_success_resumed_or_not(tmp_path):
+    """Dialogues of one guess, of which about half succeed: two replicas in three at first."""
+
+    def trainer_in(folder):
+        spec = GuessEnv(1, 1).action_spec_unbatched
+        uniform = UniformUntilSuccess(spec, 24, action_mask_key="action_mask")
+        sizes = {"places": 1, "rounds": 5, "replicas": 24, "checkpoint_every": 1}
+        made = make_trainer(folder, last=[uniform], **sizes)
+        made.round_metrics["uniform"] = lambda: uniform.eps.squeeze(-1)
+        return made
+
+    whole = trainer_in(tmp_path / "whole").train()
+    stopped = trainer_in(tmp_path / "stopped")
+    stopped.begin()
+    for _ in range(2):
+        stopped.train_round()
+    resumed = trainer_in(tmp_path / "stopped").train(resume=True)
+    for rows in (whole, resumed):
+        for replica in range(24):
+            own = rows[replica::24]
+            booked = [row["success_rate"] > 0 for row in own]
+            assert [row["uniform"] for row in own] == [
+                float(not any(booked[:number])) for number in range(5)
+            ]
+    seen = [row["success_rate"] for row in whole]
+    assert seen == [row["success_rate"] for row in resumed]
+    assert 0 < sum(seen[:24]) < 24  # by chance 2 / 2 ** 24
 
 
 def noted(monkeypatch, owner, name, events):

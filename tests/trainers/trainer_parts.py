@@ -19,6 +19,7 @@ from bbq_torchrl.objectives import DropoutDQNLoss
 from bbq_torchrl.trainers import ReplicaAdam, RoundTrainer, Spike
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
     from pathlib import Path
 
 FEATURES, ACTIONS = 6, 4
@@ -121,6 +122,7 @@ def make_trainer(
     capacity: int = 120,
     env: EnvBase | None = None,
     optimizer: object = None,
+    last: Sequence[nn.Module] = (),
     **given: Any,
 ) -> RoundTrainer:
     """Returns a trainer of tiny parts that learns for a few rounds."""
@@ -133,7 +135,7 @@ def make_trainer(
     own |= {"checkpoint_every": 2, "keep_checkpoints": 2, "spike": Spike(random_policy, 5)}
     return RoundTrainer(
         env,
-        TensorDictSequential(actor, explore),
+        TensorDictSequential(actor, explore, *last),
         loss,
         ReplicaReplay(capacity, replicas=replicas),
         optimizer or ReplicaAdam(loss.parameters(), replicas, lr=1e-2),
