@@ -46,6 +46,7 @@ _BOUNDS = [
     if text.startswith(("no", "after", "before"))
 ]
 _QUANTITY_WORDS = DAY_WORDS | MONTH_WORDS | NUMBER_WORDS | ORDINAL_WORDS | PART_WORDS
+_PLACES = frozenset("in within around at near".split())
 _LIKELY = 0.85
 _LEAST = 0.4
 _MAYBE = 0.95  # how likely a known name must be none to be passed over
@@ -94,6 +95,8 @@ def values_of(
                 break  # "not too far"
             start += 1
         text = " ".join(words[start:end])
+        if end - start == 1 and "'" in text and len(compact(text)) < _LETTERS:
+            continue  # "I'd" is not Idaho
         if lexicon.kinds[slot] == "count":
             start, end = company(slot, words, start, end, lexicon)
             text = " ".join(words[start:end])
@@ -109,8 +112,12 @@ def values_of(
         if is_praise and slot != asked and not _is_behind_noun(slot, words, start, lexicon):
             continue  # "I heard it's great"
         link = lexicon.link(slot, text)
-        if not link.values and (other := lexicon.only_slot(text)) is not None:
-            slot, link = other, lexicon.link(other, text)
+        if link.score < 1.0 and not is_range:
+            # "In Grand Rapids" is the city, though theaters are named after it.
+            start = _without_place(words, start, end, lexicon)
+            text = " ".join(words[start:end])
+            if (other := lexicon.only_slot(text)) is not None:
+                slot, link = other, lexicon.link(other, text)
         parts = [_Part(start, end, text, link)]
         if not link.values and not is_range:
             parts = _within(slot, words, start, end, lexicon)
@@ -208,6 +215,16 @@ def _missed(
                 found.append(Span(slot, start, end))
                 tags[start:end] = [slot] * size
     return found
+
+
+def _without_place(words: Sequence[str], start: int, end: int, lexicon: Lexicon) -> int:
+    """Returns where a name of a single slot begins after "in" or the like; else the start."""
+    at = start
+    while at < end and lexicon.only_slot(" ".join(words[at:end])) is None:
+        if words[at] not in _PLACES:
+            return start
+        at += 1
+    return at if at < end else start
 
 
 def _is_behind_noun(slot: str, words: Sequence[str], start: int, lexicon: Lexicon) -> bool:

@@ -294,3 +294,26 @@ def test_the_agent_asks_what_is_wanted_instead():
     said = Generator(movie_domain()).clarify(Understood(Frame("inform"), 0.5, (denied,)))
     assert re.search(r"\bnot friday\b", said, re.IGNORECASE)
     assert said.endswith("?")
+
+
+@pytest.mark.parametrize(
+    ("text", "tags", "informs"),
+    [
+        ("anything in grand rapids", "in grand rapids:theater", {"city": "grand rapids"}),
+        ("grand rapids", "grand rapids:theater", {"city": "grand rapids"}),
+        ("around los angeles", "around los angeles:theater", {"city": "los angeles"}),
+        (
+            "regal grand rapids 12",
+            "regal grand rapids 12:theater",
+            {"theater": "regal grand rapids 12"},
+        ),
+        ("i'd say tulsa", "i'd:state tulsa:city", {"city": "tulsa"}),
+        ("in id", "id:state", {"state": "id"}),
+    ],
+)
+def test_a_name_in_full_is_of_its_slot_whatever_was_tagged(lexicon, text, tags, informs):
+    tagged = {}
+    for words, slot in re.findall(r"([^:]+):(\w+) ?", tags):
+        tagged |= dict.fromkeys(words.split(), slot)
+    frame, unclear = read(text, tagged, lexicon, Frame("request", {}, ("theater",)))
+    assert (dict(frame.informs), unclear) == (informs, ())
