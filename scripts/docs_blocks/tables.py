@@ -8,6 +8,7 @@ from pathlib import Path
 from statistics import fmean, median
 from typing import Any
 
+from bbq_torchrl.evaluation.metrics import Reach
 from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.runs.shipped import PREFIX, SHIPPED, shipped_agents
 from bbq_torchrl.utils.statistics import estimate
@@ -248,3 +249,35 @@ def _comparison() -> str:
         )
     head = ("goals, slot errors", "policy", "public simulator", "ours", "difference / its error")
     return table(head, rows, numbers=3)
+
+
+@block("results.unspiked")
+def _unspiked() -> str:
+    """Returns a table for each domain of agents that learn without spiking, the best first."""
+    seeds: dict[tuple[str, str], list[dict[str, str]]] = defaultdict(list)
+    for row in read_csv("unspiked.csv"):
+        seeds[row["domain"], row["agent"]].append(row)
+    tables: dict[str, list[tuple[float, tuple[str, ...]]]] = defaultdict(list)
+    for (domain, agent), rows in seeds.items():
+        most = int(rows[0]["dialogues"])
+        booked = [estimate([float(row[key]) for row in rows]) for key in _UNSPIKED]
+        times = (
+            Reach(tuple(float(row[key] or "inf") for row in rows), most, 1)
+            for key in ("first_success", "to_0.3")
+        )
+        reached = (f"{one.shown(one.median)} ({one.reached} of {len(rows)})" for one in times)
+        tables[domain].append((booked[-2].value, (code(agent), *reached, *map(str, booked))))
+    return "\n\n".join(
+        table(
+            (f"domain {code(domain)}", *_UNSPIKED_HEAD),
+            [cells for _, cells in sorted(lines, reverse=True)],
+        )
+        for domain, lines in tables.items()
+    )
+
+
+_UNSPIKED = ("booked_1000", "booked_2000", "booked", "final")
+_UNSPIKED_HEAD = (
+    *("dialogues to the first success", "to .3", "booked after 1,000", "booked after 2,000"),
+    *("booked in all", "final success"),
+)
