@@ -69,7 +69,7 @@ def cleaned(
 
 
 def only_in_goals(domain: Domain) -> dict[str, tuple[str, ...]]:
-    """Returns, for each slot, the values that only goals have: no list and no record."""
+    """Returns, for each slot, the values that occur only in goals, not in lists or records."""
     known = {(slot, fold(text)) for slot, texts in domain.error_values.items() for text in texts}
     known |= {(slot, fold(text)) for record in domain.records for slot, text in record.items()}
     known |= {(slot, fold(text)) for slot in domain.slots for text in RESERVED_TEXT.values()}

@@ -60,7 +60,7 @@ class Domain:
         skipped: the parts of a corpus that a loader left out, as sentences for the reports.
         doubts: likely typing errors of a corpus that a loader kept, as sentences.
         folder: the folder that the domain was loaded from, which may also have phrases and measured
-            errors; ``None`` for a domain built in memory. It does not take part in comparisons.
+            errors; ``None`` for a domain built in memory. Comparisons ignore it.
 
     Raises:
         DomainError: a ``ValueError``, if any of the above is violated. It lists all faults, each

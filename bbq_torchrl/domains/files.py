@@ -205,7 +205,7 @@ def read_records(path: Path) -> Source:
 
 
 def read_goals(path: Path) -> Source:
-    """Reads goals, one a line: ``{"constraints": {slot: value}, "requests": [slot]}``."""
+    """Reads goals, one per line: ``{"constraints": {slot: value}, "requests": [slot]}``."""
     table = Source(path)
     text = table.text()
     goals: list[Goal] = []

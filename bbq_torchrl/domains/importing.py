@@ -1,7 +1,7 @@
 """``python -m bbq_torchrl.domains import``: a domain folder from a corpus in MiuLab's format.
 
-Arguments give what the files do not say: the slot that is booked, the slots that a booking needs,
-and those that never constrain the knowledge base.
+Arguments supply what the files lack: the slot that is booked, the slots that a booking needs, and
+those that never constrain the knowledge base.
 """
 
 from __future__ import annotations

@@ -223,7 +223,7 @@ def _study(search: Search, opened: ExitStack) -> optuna.Study:
 
 @contextmanager
 def _claimed(search: Search, study: optuna.Study, folder: Path) -> Iterator[optuna.Trial | None]:
-    """Yields a trial, locked, killed ones first; None if all are done."""
+    """Yields a locked trial, killed ones first; None if all are done."""
     trial, own = None, None
     with FileLock(folder / ".search.lock"):
         trials = study.get_trials(deepcopy=False)
@@ -234,7 +234,7 @@ def _claimed(search: Search, study: optuna.Study, folder: Path) -> Iterator[optu
                     lock.acquire(timeout=0)
                 except Timeout:
                     continue
-                # As Optuna makes the object of a stored trial.
+                # Optuna makes the object of a stored trial like this.
                 trial, own = optuna.Trial(study, known._trial_id), lock
                 _LOG.info("trial %d was interrupted and continues", known.number)
                 break
@@ -272,7 +272,7 @@ def _has_choices_only(search: Search) -> bool:
 
 
 def _most_trials(search: Search) -> int:
-    """Returns the number of trials; a space of choices only is tried once each."""
+    """Returns the number of trials; a space with only choices has one per combination."""
     if not _has_choices_only(search):
         return search.settings.trials
     return min(search.settings.trials, prod(len(item.probes) for item in search.space.values()))

@@ -43,7 +43,7 @@ class Outcome:
     Attributes:
         state: complete, pruned or failed.
         value: the objective; ``None`` unless complete.
-        reason: the reason of a failure.
+        reason: the reason for a failure.
     """
 
     state: optuna.trial.TrialState
@@ -136,7 +136,7 @@ def best_trial(search: Search, study: optuna.Study) -> dict[str, Any] | None:
     complete = [item for item in trials if item.state is optuna.trial.TrialState.COMPLETE]
     if not complete:
         return None
-    # The first of equals, however processes shared the trials.
+    # The first of equal trials, however processes shared them.
     best = max(complete, key=lambda item: (item.value, -item.number))
     values = {name: best.params[name] for name in search.space}
     return {

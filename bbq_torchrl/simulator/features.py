@@ -201,9 +201,9 @@ class Rewards:
     """The rewards of a turn (Lipton et al., 2018).
 
     Args:
-        success: for the turn that ends a dialogue in success.
-        failure: for the turn that ends a dialogue otherwise, running out of turns included.
-        turn: for every other turn.
+        success: reward of the turn that ends a dialogue in success.
+        failure: reward of the turn that ends it otherwise, running out of turns included.
+        turn: reward of every other turn.
 
     Raises:
         ValueError: if a reward is not finite.

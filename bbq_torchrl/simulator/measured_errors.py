@@ -181,7 +181,7 @@ class MeasuredErrors(Movable):
 
 
 def questions_of(acts: Sequence[str], slots: Sequence[str]) -> tuple[str, ...]:
-    """Returns the possible agent turns before a user's: none, an act, an offer, or a request."""
+    """Returns the possible agent turns before a user's: no turn, an act, an offer or a request."""
     return ("opening", *acts, "offer", *(f"request({slot})" for slot in slots))
 
 

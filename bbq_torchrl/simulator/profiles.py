@@ -53,12 +53,12 @@ class Profile:
 
     Args:
         share: the share of the mix's dialogues.
-        patience: least and most turns of the agent after which the user leaves, a failure.
-        bears: least and most times that the agent may pass over its questions, by any act but the
+        patience: fewest and most turns of the agent after which the user leaves, a failure.
+        bears: fewest and most times that the agent may ignore its questions, by any act but the
             answer or a request; after the last it leaves, a failure.
-        tells: least and most constraints told in a turn in which the user tells any value.
+        tells: fewest and most constraints told in a turn in which the user tells any value.
         insists: probability that it asks one question at a time, in every turn until it is
-            answered, also while it answers the agent.
+            answered, even while it answers the agent.
         asks_late: probability that it asks its questions only after an offer of a booking that
             meets its constraints, and gives thanks only after the answers.
         confirms: probability that it says yes (``confirm_answer``) when the agent tells or asks a
@@ -130,7 +130,7 @@ Users = str | Mapping[str, Any] | Sequence[Mapping[str, Any] | Profile]
 
 
 def profiles_of(users: Users) -> tuple[Profile, ...]:
-    """Returns the profiles of a mix; none if every user is the paper's.
+    """Returns the profiles of a mix; empty if every user is the paper's.
 
     Args:
         users: the name of a mix, the keys of one profile, or a list of profiles.
@@ -230,7 +230,7 @@ class Mix(Movable):
         key             dtype  shape     meaning
         ==============  =====  ========  ===========================================================
         ``limit``       long   ``*B``    acts of both sides after which the user leaves
-        ``bears``       long   ``*B``    how often the agent may still pass over a question
+        ``bears``       long   ``*B``    times that the agent may still ignore a question
         ``tells``       long   ``*B``    constraints told in a turn; 0: as in the paper
         ``order``       long   ``*B, S``  rank of each slot; the user prefers higher ones
         ``other``       long   ``*B, S``  the value that would replace a constraint; 0: none
@@ -281,7 +281,7 @@ def _alternatives(
     """Returns the values that could replace each constraint of each goal.
 
     With each of them a record meets all constraints and has values for all requests. A free slot
-    gets the values that other goals want of it.
+    gets its values in other goals.
 
     Returns:
         The position of the first value and the number of values, each long ``[G, S]``, and the

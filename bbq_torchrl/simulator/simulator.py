@@ -56,10 +56,10 @@ class Simulator:
     ``agent_informs``    long    ``*B, S``  the values the agent's last act informed
     ``agent_requests``   bool    ``*B, S``  the slot the agent's last act requested
     ``turn``             long    ``*B``    starts at 0, plus 2 for each turn of the agent
-    ``repeats``          long    ``*B``    how often the user was asked to repeat something
+    ``repeats``          long    ``*B``    times that the user was asked to repeat something
     ``done``             bool    ``*B``    the dialogue has ended
     ``success``          bool    ``*B``    it has ended in success
-    ``reward``           float   ``*B``    of the last turn; 0 at the start
+    ``reward``           float   ``*B``    reward of the last turn; 0 at the start
     ===================  ======  ========  ========================================================
 
     Random choices are functions of uniform numbers that :meth:`draw_reset` and :meth:`draw_turn`

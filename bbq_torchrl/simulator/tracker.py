@@ -76,10 +76,10 @@ class Utterance:
         act: long ``[*B]``, the act.
         informs: long ``[*B, S]``, the values informed.
         requests: bool ``[*B, S]``, the slots requested.
-        repeats: long ``[*B]``, in an utterance heard: how often the user was asked to repeat it;
-            ``None``: never.
+        repeats: long ``[*B]``, in an utterance heard: the number of times that the user was asked
+            to repeat it; ``None``: never.
         error_prob: float32 ``[*B, S]``, in an utterance said: the probability of an error in each
-            slot; negative for that of the channel, ``None``: everywhere.
+            slot; negative for that of the channel, ``None`` for that of the channel everywhere.
     """
 
     act: torch.Tensor

@@ -228,7 +228,7 @@ class MixedUser(User):
         act, informs, is_met = reply["user_act"], reply["meant_informs"], reply["constraints_met"]
         agenda = reply["agenda"] | (later & ~(agent.is_slot & agent.is_inform[..., None]))
 
-        # A question passed over once too often: the user leaves before the agent's next turn.
+        # A question ignored once too often: the user leaves before the agent's next turn.
         waiting = state["pending"] & is_question
         is_answer = (waiting & agent.is_slot).any(-1) & agent.is_inform
         is_ignored = waiting.any(-1) & listens & ~(is_answer | agent.is_request)
@@ -289,13 +289,13 @@ class MixedUser(User):
         is_first: torch.Tensor,
         tells: torch.Tensor,
     ) -> dict[str, torch.Tensor]:
-        """Tells as many constraints as the users do in a turn. Returns entries of the state.
+        """Tells as many constraints as users with these traits do. Returns entries of the state.
 
         Args:
-            traits: of the users.
+            traits: the users' traits.
             constraints: long ``[*B, S]``.
-            informs: long ``[*B, S]``, what the agenda-based user would tell.
-            agenda: bool ``[*B, S]``, after that.
+            informs: long ``[*B, S]``, the values that the agenda-based user would tell.
+            agenda: bool ``[*B, S]``, the agenda after that.
             is_first: bool ``[*B, S]``, the slots that it tells before others.
             tells: bool ``[*B]``, whether it tells any value in this turn.
         """

@@ -115,7 +115,7 @@ def _parser() -> argparse.ArgumentParser:
     parser.add_argument(
         "--understander", type=Path, help="file of `bbq language train`; trained unless given"
     )
-    parser.add_argument("--labeled", type=Path, help="own labeled lines, learned as well")
+    parser.add_argument("--labeled", type=Path, help="your labeled lines, learned as well")
     for name, help_ in (("--nlu", "who understands"), ("--nlg", "who speaks")):
         parser.add_argument(name, choices=("own", "endpoint"), default="own", help=help_)
     parser.add_argument("--url", help="of an OpenAI-compatible server, up to and with its /v1")
@@ -136,7 +136,7 @@ def _rules(text: str) -> tuple[str, ...]:
 
 
 def _lines() -> Callable[[], str | None]:
-    """Returns a reader of the lines of standard input, whatever their bytes."""
+    """Returns a reader of lines from standard input, which accepts any bytes."""
     if isinstance(sys.stdin, io.TextIOWrapper):
         sys.stdin.reconfigure(errors="replace")
 

@@ -1,4 +1,4 @@
-"""A chat in the terminal: what is typed, what is shown, and how it ends."""
+"""A chat in the terminal: input, output and outcome."""
 
 from __future__ import annotations
 
@@ -46,11 +46,11 @@ class Chat:
 
     Args:
         partner: the agent.
-        goal: what the person is to get; ``None`` for free talk.
-        screen: a console of rich.
-        names: how people call the slots.
-        seed: of all that is random.
-        echo: whether to show what the person says, where no terminal does.
+        goal: the person's goal; ``None`` for free talk.
+        screen: a rich console.
+        names: the readable names of the slots.
+        seed: the random seed.
+        echo: whether to show the person's text, if no terminal does.
     """
 
     def __init__(
@@ -68,10 +68,10 @@ class Chat:
         self._turns: list[_Turn] = []
 
     def run(self, read: Callable[[], str | None]) -> bool | None:
-        """Talks until person or agent ends it and tells the outcome; then takes commands alone.
+        """Talks until the person or the agent ends it, shows the outcome, then takes only commands.
 
         Args:
-            read: returns the next line; ``None`` where there are no more.
+            read: returns the next line, or ``None`` at the end.
 
         Returns:
             Whether it was a success; ``None`` in free talk.
@@ -135,7 +135,7 @@ class Chat:
             return
         self._say(
             f"understood: {understood.frame} (confidence {understood.confidence:.2f}, "
-            f"by {'the endpoint' if understood.source == 'endpoint' else 'the own grammar'})"
+            f"by {'the endpoint' if understood.source == 'endpoint' else 'this package'})"
         )
         for unclear in understood.unclear:
             among = f", one of {', '.join(unclear.candidates)}" if unclear.candidates else ""
@@ -239,7 +239,7 @@ def _line(text: str) -> str:
 
 
 def console() -> Any:
-    """Returns a console of rich on standard output."""
+    """Returns a rich console on standard output."""
     return needed("rich", "rich.console", "chat").Console()
 
 

@@ -1,6 +1,6 @@
 """Dialogue state, policy, control, success and beliefs: the parts that chat and study share.
 
-This page has the protocol of an agent in a study: text in; text, acts and beliefs out.
+This module defines the protocol of an agent in a study: text in; text, acts and beliefs out.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ RULE_NAMES = (
     "check",
     "aside",
 )
-"""The rules of :mod:`~bbq_torchrl.people.dialogue.control`, here where no torch is needed."""
+"""The rules of :mod:`~bbq_torchrl.people.dialogue.control`, here to avoid importing torch."""
 
 
 @dataclass(frozen=True)
@@ -38,9 +38,9 @@ class Belief:
 
     Attributes:
         action: the action's name.
-        mean: of its Q-value.
+        mean: the mean of its Q-value.
         band50: lower and upper end of the middle half of its posterior.
-        band90: the same of the middle 90 %.
+        band90: the same for the middle 90 %.
         p_best: probability that no other action has a higher Q-value.
     """
 
@@ -57,7 +57,7 @@ class Beliefs:
 
     Attributes:
         actions: the legal actions, or the best of them.
-        entropy: of the distribution of the best action, in nats.
+        entropy: the entropy of the distribution of the best action, in nats.
     """
 
     actions: tuple[Belief, ...]
@@ -66,18 +66,18 @@ class Beliefs:
 
 @dataclass(frozen=True)
 class Reply:
-    """An agent's answer to a person's text, with all that is stored of it.
+    """An agent's answer to a person's text, with everything that is stored about it.
 
     Attributes:
-        text: what the agent says.
-        heard: what was understood of the person's text.
-        said: the agent's act, its values filled in. The offer of a booking informs the domain's
-            complete slot (``ticket available`` or ``no match``) and all values held.
-        confidence: the nlu's confidence, in [0, 1]; ``None`` if it gives none.
-        ended: the agent ends the conversation.
-        state: whatever the talker needs to answer the next text; the study stores it and gives it
-            back, so that a conversation continues after any crash.
-        beliefs: what the agent thought; ``None`` for an agent without a posterior.
+        text: the agent's text.
+        heard: the act understood from the person's text.
+        said: the agent's act, with its values filled in. A booking informs the domain's complete
+            slot (``ticket available`` or ``no match``) and all values in the tracker.
+        confidence: the nlu's confidence, in [0, 1]; ``None`` without one.
+        ended: whether the agent ends the conversation.
+        state: everything the talker needs to answer the next text; the study stores it and passes
+            it back, so that a conversation continues after any crash.
+        beliefs: the agent's beliefs; ``None`` for an agent without a posterior.
     """
 
     text: str
@@ -92,19 +92,19 @@ class Reply:
 class Talker(Protocol):
     """The agents of a study, as a function from a conversation's state and a text to an answer.
 
-    :meth:`reply` is called from several threads at once, never twice at once for a conversation.
+    :meth:`reply` is called from several threads, but never twice at once for a conversation.
 
     Attributes:
-        domain: what is spoken of: the study's, where needed with one spelling for each value. Goal
-            cards are in its spelling, and acts are judged by it.
-        labels: how people call the domain's slots; a slot without a label is shown by its name.
+        domain: the study's domain, where needed with one spelling for each value. Goal cards use
+            its spelling, and acts are judged by it.
+        labels: people's names for the domain's slots; a slot without a label is shown by its name.
     """
 
     domain: Domain
     labels: Mapping[str, str]
 
     def fingerprint(self, agent: str) -> str:
-        """Returns a hash of the agent's weights and of all else that decides what it says.
+        """Returns a hash of the agent's weights and of everything else that determines its replies.
 
         Raises:
             ValueError: the agent cannot be loaded, or is of another domain; in one sentence.
@@ -115,7 +115,7 @@ class Talker(Protocol):
 
         Args:
             agent: the agent's name in the study.
-            state: of the conversation: that of the agent's last answer, ``None`` at the start.
-            text: what the person says: one line, not blank, at most 1,000 characters.
-            seed: of everything random in the answer; the same for a text sent again.
+            state: the state in the agent's last answer; ``None`` at the start.
+            text: the person's text: one line, not blank, at most 1,000 characters.
+            seed: the seed of everything random in the answer; the same for a text sent again.
         """

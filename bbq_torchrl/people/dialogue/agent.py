@@ -1,4 +1,4 @@
-"""A trained agent that talks: which action it takes in a state, how sure it is, and why."""
+"""A trained agent that talks: its action in a state, its beliefs, and its reasons."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 
 DRAWS = 300
-"""Draws of the Q-values behind bands and probabilities."""
+"""The number of draws of the Q-values behind bands and probabilities."""
 
 _WHY_DRAWS = 40
 _STEPS = 16  # of the path from the empty to the given observation
@@ -45,12 +45,12 @@ _BANDS = torch.tensor([0.05, 0.25, 0.75, 0.95])
 
 @dataclass(frozen=True)
 class Reason:
-    """The part of one group of features in the difference of two Q-values.
+    """The contribution of one group of features to the difference of two Q-values.
 
     Attributes:
-        group: of the features; "nothing known" is the difference before anything is.
-        mean: of its part of the difference.
-        band90: lower and upper end of the middle 90 % of its posterior; both the mean without one.
+        group: the group; "nothing known" is the difference before anything is known.
+        mean: the mean of its contribution.
+        band90: lower and upper end of the middle 90 % of its posterior; the mean without one.
     """
 
     group: str
@@ -60,13 +60,13 @@ class Reason:
 
 @dataclass(frozen=True)
 class Reasons:
-    """The reasons for an action over the next one, by the agent's own network.
+    """The reasons for an action over the next best one, from the agent's network.
 
     Attributes:
-        action: what was taken.
-        other: of the others the one of the greatest mean.
-        difference: of their Q-values: the sum of all parts.
-        parts: by group of features, the greatest first.
+        action: the action taken.
+        other: the other action with the greatest mean.
+        difference: the difference of their Q-values, the sum of all parts.
+        parts: the contributions by group of features, the greatest first.
     """
 
     action: str
@@ -76,22 +76,22 @@ class Reasons:
 
 
 class TrainedAgent:
-    """An agent of a run folder.
+    """An agent from a run folder.
 
-    Its methods may be called from several threads, and draw from generators of their own seeds.
+    Its methods may be called from several threads, and each call seeds its random draws.
 
     Args:
         folder: the run folder, or ``shipped:<name>``.
-        replica: which of the run's replicas talks.
+        replica: the index of the run's replica that talks.
         mode: the policy of a Bayesian agent, as in :func:`~bbq_torchrl.load_run`.
-        weights: the newest, or those of the best evaluation while training.
+        weights: the last weights, or those of the best evaluation during training.
 
     Attributes:
-        domain: what it talks about.
-        simulator: of the domain, as the agent was trained in it.
+        domain: the domain.
+        simulator: the domain's simulator, as in the agent's training.
         active: bool ``[S]``, the slots active for the agent.
         legal: bool ``[A]``, the actions that the agent has.
-        name: of the policy, such as ``mean`` or ``greedy``.
+        name: the name of the policy, such as ``mean`` or ``greedy``.
 
     Raises:
         ValueError: no run folder, one without dialogues, or no such replica.
@@ -121,7 +121,7 @@ class TrainedAgent:
         self._lock = threading.Lock()
 
     def fingerprint(self) -> str:
-        """Returns a hash of the weights and of all else that decides what the agent does."""
+        """Returns a hash of the weights and of everything else that determines the actions."""
         digest = hashlib.sha256(f"{__version__} {self.name} {self._replica}".encode())
         for key, value in sorted(self._policy.state_dict().items()):
             if isinstance(value, torch.Tensor):
@@ -132,11 +132,11 @@ class TrainedAgent:
         return digest.hexdigest()
 
     def decide(self, observation: Tensor, seed: int, allowed: Tensor | None = None) -> int:
-        """Returns the action that the policy takes, an index of the domain's actions.
+        """Returns the action that the policy takes, an index into the domain's actions.
 
         Args:
             observation: float32 ``[F]``.
-            seed: of what is random in the policy.
+            seed: the seed of the policy's random choices.
             allowed: bool ``[A]``, the actions to choose from; ``None`` for all legal ones.
         """
         return int(self._acted(observation, seed, allowed)["action"])
@@ -147,7 +147,7 @@ class TrainedAgent:
 
         Args:
             observation: float32 ``[F]``.
-            seed: of the draws.
+            seed: the seed of the draws.
 
         Returns:
             ``None`` for an agent without a posterior.
@@ -179,7 +179,7 @@ class TrainedAgent:
         }
 
     def reasons(self, observation: Tensor, seed: int) -> Reasons | None:
-        """Returns why the agent takes its action and not the next one, by group of features.
+        """Returns the reasons for the agent's action over the next best one, by group of features.
 
         Integrated gradients (Sundararajan et al., 2017) of the difference of the two Q-values from
         an empty observation to the given one, for each draw of the weights: the parts of a draw add
@@ -187,10 +187,10 @@ class TrainedAgent:
 
         Args:
             observation: float32 ``[F]``.
-            seed: of the draws.
+            seed: the seed of the draws.
 
         Returns:
-            ``None`` for a policy whose network is not known, or where one action alone is legal.
+            ``None`` for a policy with an unknown network, or if only one action is legal.
         """
         inputs, names = self._rows(observation), self.domain.action_names
         best = self.decide(observation, seed)
@@ -221,7 +221,7 @@ class TrainedAgent:
         layout = self.simulator.layout
         parts = {name: added[:, layout[name]].sum(-1) for name in layout}
         at_start, at_end = (end[:, best] - end[:, second] for end in ends)
-        # What the finite path misses goes to no group: it is small, and would be made up.
+        # The small error of the finite path goes to no group: any split would be arbitrary.
         parts["nothing known"] = at_start
         reasons = (_reason(name, part) for name, part in parts.items())
         return Reasons(
@@ -250,7 +250,7 @@ class TrainedAgent:
 
     @contextmanager
     def _seeded(self, seed: int) -> Iterator[None]:
-        """Seeds torch's global generator, for one thread at a time, and leaves it as it was."""
+        """Seeds torch's global generator, for one thread at a time, and restores it."""
         with self._lock, torch.random.fork_rng(devices=()):
             torch.manual_seed(seed)
             yield
@@ -264,15 +264,15 @@ def _reason(group: str, draws: Tensor) -> Reason:
 def q_draws(policy: TensorDictModuleBase, inputs: Tensor, draws: int) -> Tensor | None:
     """Returns draws of the Q-values in one state, ``[*replicas, draws, N]``.
 
-    Of a Bayesian network they are rows of local reparameterization, which for one state have
-    exactly the distribution of as many draws of all weights; of bootstrapped heads they are the
-    heads; of a network that has learned with dropout they are draws of its units (Gal and
-    Ghahramani, 2016). ``None`` for a policy that is not uncertain.
+    For a Bayesian network, they are rows of local reparameterization, which for one state have
+    exactly the distribution of as many draws of all weights. For bootstrapped heads, they are the
+    heads. For a network trained with dropout, they are draws of its units (Gal and Ghahramani,
+    2016). ``None`` for a policy without uncertainty.
 
     Args:
         policy: the policy that a run reports.
         inputs: the observation, ``[*replicas, 1, F]``.
-        draws: how many; heads are as many as there are.
+        draws: the number of draws; bootstrapped heads ignore it.
     """
     if isinstance(policy, MajorityVote):
         return _mean_values(policy, inputs).squeeze(-3)
@@ -291,19 +291,19 @@ def path_draws(
 ) -> tuple[int, Callable[[Tensor], Tensor]] | None:
     """Returns the number of networks, and the function that evaluates them between two states.
 
-    Along a path the weights must stay, which local reparameterization does not give: these are
-    draws of all weights. The function takes ``[*replicas, K, F]`` and returns
-    ``[*replicas, K, N]``, a network a row, and can be differentiated. ``None`` for a policy of
-    another kind than ours.
+    The weights must stay fixed along a path, which local reparameterization does not allow, so
+    these are draws of all weights. The function takes ``[*replicas, K, F]`` and returns
+    ``[*replicas, K, N]``, one row per network, and is differentiable. ``None`` for a policy of
+    another kind.
 
     Args:
         policy: the policy that a run reports.
         inputs: an observation, ``[*replicas, 1, F]``.
-        draws: how many; heads are as many as there are, and a network without posterior is one.
+        draws: the number of draws; heads and networks without a posterior ignore it.
     """
     if isinstance(policy, MajorityVote):
         heads = _mean_values(policy, inputs).shape[-2]
-        # Heads pass their trunk a gradient divided by their number, which is undone here.
+        # The heads divide the gradient to their trunk by their number, which this undoes.
         networks = [module for module in policy.modules() if isinstance(module, BootstrapMLP)]
         scale = heads if any(network.trunk is not None for network in networks) else 1
 
@@ -329,7 +329,7 @@ def path_draws(
 def _values(policy: TensorDictModuleBase, rows: Tensor) -> Tensor:
     """Returns the values of the network behind a policy, ``[*replicas, rows, ..., N]``."""
     network, choice = split_actor(policy.actor)
-    assert choice is not None  # policies of ours choose by their values
+    assert choice is not None  # our policies choose by their values
     tensordict = TensorDict({network.in_keys[0]: rows}, batch_size=rows.shape[:-1])
     values: Tensor = network(tensordict).get(choice.action_value_key)
     return values

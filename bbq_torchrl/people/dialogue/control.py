@@ -1,9 +1,10 @@
 """Rules between the Q-values and the sentence: manners that the simulated user never taught.
 
-The simulated user repeats its questions until they are answered and minds no repetition, so an
-agent that learned from it loses nothing by bad manners. People do mind. A rule leaves out actions,
-or forgets what stands in the way. ``scripts/measure_control.py`` measures what each rule costs in
-the simulator (``results/control.csv``). The rules are on in chat and study, and off in experiments.
+The simulated user repeats its questions until they are answered and does not mind repetition,
+so an agent that learned from it loses nothing by bad manners. People do mind. A rule leaves out
+actions, or forgets values that stand in the way. ``scripts/measure_control.py`` measures the cost
+of each rule in the simulator (``results/control.csv``). The rules are on in chat and study, and off
+in experiments.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class Rule:
     """One rule.
 
     Attributes:
-        says: what the rule does, in a sentence.
+        says: the effect of the rule, in a sentence.
         allowed: returns the actions that it allows in a state, bool ``[*B, A]``; ``None`` for a
             rule that concerns the memory or the sentence.
     """
@@ -40,10 +41,10 @@ class Rule:
 
 
 class Control:
-    """Applies rules, in their order, each only where it leaves an action.
+    """Applies rules in order, each only where it leaves an action.
 
     Args:
-        simulator: of the domain; its tracker completes the agent's acts.
+        simulator: the domain's simulator; its tracker completes the agent's acts.
         rules: names of :data:`RULES`.
 
     Attributes:
@@ -81,14 +82,15 @@ class Control:
     def allowed(
         self, state: TensorDictBase, legal: torch.Tensor
     ) -> tuple[torch.Tensor, dict[str, torch.Tensor]]:
-        """Returns the actions that all rules allow, and where each rule left some out.
+        """Returns the actions that all rules allow, and those that each rule left out.
 
         Args:
-            state: of the simulator or of a :class:`~bbq_torchrl.people.dialogue.tracker.Tracking`.
+            state: the state of the simulator or of a
+                :class:`~bbq_torchrl.people.dialogue.tracker.Tracking`.
             legal: bool ``[*B, A]``.
 
         Returns:
-            bool ``[*B, A]``, and by rule bool ``[*B, A]``, the actions that it left out.
+            bool ``[*B, A]``, and for each rule bool ``[*B, A]``, the actions that it left out.
         """
         left_out = {}
         for name in self.rules:
@@ -101,15 +103,16 @@ class Control:
         return legal, left_out
 
     def remember(self, state: TensorDictBase) -> TensorDictBase:
-        """Returns the state after a person's act, without what the agent takes back.
+        """Returns the state after a person's act, without the values that the agent takes back.
 
-        What the agent told is dropped where no record has it and what the person tells or asks for
-        next, and is told again as if the person had just asked for it. A "no match" is dropped
-        anyway. The state gets the key ``wished``, long ``[*B, S]``: how often the person has told
-        each slot.
+        A value that the agent told is dropped if no record has both it and what the person tells or
+        asks for next. The agent tells it again as if the person had just asked for it. A "no match"
+        is always dropped. The state gets the key ``wished``, long ``[*B, S]``: the number of times
+        the person has told each slot.
 
         Args:
-            state: of the simulator or of a :class:`~bbq_torchrl.people.dialogue.tracker.Tracking`.
+            state: the state of the simulator or of a
+                :class:`~bbq_torchrl.people.dialogue.tracker.Tracking`.
         """
         if "take_back" not in self.rules:
             return state
@@ -132,8 +135,8 @@ class Control:
     def answers(self, state: TensorDictBase, legal: torch.Tensor) -> torch.Tensor:
         """Returns the action that answers an open question of the person, bool ``[*B, A]``.
 
-        Of several questions it is the one that the fewest matching records can answer: the records
-        that have its answer can answer the others.
+        If several questions are open, it is the one that the fewest matching records can answer:
+        the records with its answer can answer the others.
         """
         open_ = self._open(state)
         if "answers_first" not in self.rules:

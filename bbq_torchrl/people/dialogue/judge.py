@@ -1,7 +1,7 @@
-"""Goals of people, and the judge of whether a conversation met one.
+"""People's goals, and the judge of whether a conversation met its goal.
 
-A simulated user knows what it has asked and what was answered; of a person only the goal card and
-the dialogue acts are known.
+A simulated user knows its questions and their answers. For a person, only the goal card and the
+dialogue acts are known.
 """
 
 from __future__ import annotations
@@ -27,8 +27,8 @@ def card(goal: Goal, labels: Mapping[str, str]) -> dict[str, Any]:
     """Returns the content of a goal card.
 
     Args:
-        goal: the person's.
-        labels: how people call the slots.
+        goal: the person's goal.
+        labels: people's names for the slots.
 
     Returns:
         ``wishes``, pairs of label and value, and ``questions``, labels.
@@ -47,20 +47,20 @@ class Judge:
 
     A conversation is a success if
 
-    1. the last offer of a booking holds every wish of the goal card,
+    1. the last offer of a booking has every wish of the goal card,
     2. that offer says that there is a ticket,
     3. every question of the card was answered, by itself or in an offer, and one record of the
-       knowledge base holds all wishes and all answers,
+       knowledge base has all wishes and all answers,
     4. it ended before it ran out of turns.
 
-    The simulator also asks that nothing said to be without a match is left so: each such slot gets
-    another value afterwards, by either side, and a refused offer counts until the agent informs
-    the ticket itself. A person who has what the card says is not failed for it; of other
+    The simulator also requires that no slot remains without a match: either side must give each
+    such slot another value afterwards, and a refused offer counts until the agent informs the
+    ticket itself. A person who got everything on the card does not fail because of it; for other
     conversations it is one more reason. With ``as_simulated`` it is a condition, and in dialogues
     without errors that the agent ends, the rule is the simulator's.
 
     Args:
-        domain: what the conversations are about.
+        domain: the domain of the conversations.
         as_simulated: whether to judge as the simulator does.
     """
 
@@ -77,19 +77,19 @@ class Judge:
                 self._has[slot].add(row)
 
     def is_attainable(self, goal: Goal) -> bool:
-        """Returns whether some record holds all wishes and has all that is asked for."""
+        """Returns whether some record has all wishes and all requested slots."""
         has_all = (self._has.get(slot, ()) for slot in goal.requests)
         return bool(self._matching(goal.constraints).intersection(*has_all))
 
     def reasons(
         self, goal: Goal, exchanges: Iterable[tuple[Frame, Frame]], *, in_time: bool = True
     ) -> tuple[str, ...]:
-        """Returns the reasons why a conversation was no success; none for a success.
+        """Returns the reasons why a conversation was not a success; empty for a success.
 
         Args:
             goal: the person's goal card.
-            exchanges: what was understood of the person and what the agent said, first to last.
-            in_time: it did not run out of turns.
+            exchanges: the person's act as understood and the agent's act, first to last.
+            in_time: whether it ended before it ran out of turns.
         """
         offer: dict[str, str] = {}
         answers: dict[str, str] = {}
@@ -102,7 +102,7 @@ class Judge:
                 answers |= {} if self._as_simulated else _real(told)
                 if told[self._complete] == _NO_MATCH:
                     latest[self._ticket] = _NO_MATCH
-            elif said.act in ("inform", "request"):  # or answers, and a question after them
+            elif said.act in ("inform", "request"):  # or answers, followed by a question
                 latest |= told
                 answers |= told
         asked = {slot: answers.get(slot, _NO_MATCH) for slot in goal.requests}
@@ -119,7 +119,7 @@ class Judge:
         return tuple(reason for reason, holds in faults.items() if holds)
 
     def _matching(self, values: Mapping[str, str]) -> frozenset[int]:
-        """Returns the records that hold all values; free slots and "do not care" match any."""
+        """Returns the records that have all values; free slots and "do not care" match any."""
         return self._holding(
             (slot, value)
             for slot, value in _folded(values).items()
@@ -127,7 +127,7 @@ class Judge:
         )
 
     def _holding(self, items: Iterable[tuple[str, str]]) -> frozenset[int]:
-        """Returns the records that hold all values, as they are."""
+        """Returns the records that have all values, without exceptions."""
         return self._all.intersection(*(self._rows.get(item, ()) for item in items))
 
 
@@ -152,16 +152,16 @@ REASONS = {
     "no match left": "something was said to be without a match, and left so",
     "out of turns": "it ran out of turns",
 }
-"""A judge's reason, in a clause."""
+"""Each reason of the judge, as a clause."""
 
 
 def choose_goal(domain: Domain, number: int | None, seed: int) -> Goal:
     """Returns a goal of the domain.
 
     Args:
-        domain: whose goals.
-        number: which one, from 1; ``None`` draws one that some record can meet.
-        seed: of the draw.
+        domain: the domain of the goal.
+        number: the goal's number, from 1; ``None`` draws one that some record can meet.
+        seed: the seed of the draw.
 
     Raises:
         ValueError: there is no such goal, or none that can be met.

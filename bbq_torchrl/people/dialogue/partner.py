@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 
 
 class Nlg(Protocol):
-    """Says what an agent means."""
+    """Turns an agent's acts into sentences."""
 
     def agent(
         self,
@@ -38,24 +38,24 @@ class Nlg(Protocol):
         session: str | int = 0,
         turn: int = 0,
     ) -> str:
-        """Returns the sentence of an act."""
+        """Returns the sentence for an act."""
 
     def clarify(self, understood: Understood, *, session: str | int = 0, turn: int = 0) -> str:
         """Returns a question about what was not understood."""
 
     def check(self, values: Mapping[str, str], *, session: str | int = 0, turn: int = 0) -> str:
-        """Returns a question whether some values are right."""
+        """Returns a question about whether some values are right."""
 
 
 @dataclass(frozen=True)
 class Memory:
-    """All that an agent remembers between two texts.
+    """Everything that an agent remembers between two texts.
 
     Attributes:
-        state: of the tracker; ``None`` before the first act heard.
-        asking: the questions asked again since the agent last acted.
-        checked: the slot whose known value the agent has asked to be confirmed, or empty.
-        texts: how many there have been.
+        state: the state of the tracker; ``None`` before the first act heard.
+        asking: the clarification questions since the agent last acted.
+        checked: the slot whose known value the agent asked the person to confirm, or empty.
+        texts: the number of texts so far.
     """
 
     state: TensorDict | None = None
@@ -99,14 +99,14 @@ class Answer:
     """An agent's answer to a text.
 
     Attributes:
-        text: what the agent says.
-        understood: of the person's text; ``None`` where it could not be read.
-        heard: the act that the agent acted on, with what was cleared up in later turns.
-        said: the agent's act, its values filled in.
-        memory: what the agent remembers for the next text.
+        text: the agent's text.
+        understood: the nlu's result for the person's text; ``None`` if it could not be read.
+        heard: the act that the agent acted on, merged with the texts it had asked about.
+        said: the agent's act, with its values filled in.
+        memory: the agent's memory for the next text.
         acted: whether the agent took an action; otherwise it asked again, or greeted.
-        ended: whether the conversation is over: ``"agent"``, ``"person"``, ``"turns"`` or ``""``.
-        control: the rules that kept the agent from the act of its choice.
+        ended: the cause of the end: ``"agent"``, ``"person"`` or ``"turns"``; else ``""``.
+        control: the rules that kept the agent from its preferred act.
     """
 
     text: str
@@ -120,21 +120,21 @@ class Answer:
 
 
 class Partner:
-    """An agent to talk with; conversations are in the memory that it returns, not in it.
+    """An agent to talk with; it keeps no conversations, but returns a memory of each.
 
     Args:
         agent: the policy.
-        nlu: understands.
-        nlg: speaks.
-        spelling: of values; ``None`` for that of the agent's own domain and phrases.
+        nlu: the nlu.
+        nlg: the nlg.
+        spelling: the spelling of values; ``None`` for that of the agent's domain and phrases.
         ask_below: the confidence below which it asks again, between 0 (never) and 1; ``None`` for
             the threshold of the nlu.
-        rules: of the dialogue control, see :mod:`~bbq_torchrl.people.dialogue.control`; ``None``
-            for all.
+        rules: the rules of the dialogue control, see
+            :mod:`~bbq_torchrl.people.dialogue.control`; ``None`` for all.
 
     Attributes:
         agent: the policy.
-        domain: what they talk about, in the spelling that all acts have.
+        domain: the domain, in the spelling that all acts use.
         control: the rules between the policy and the nlg.
 
     Examples:
@@ -159,7 +159,7 @@ class Partner:
         self._nlu, self._nlg = nlu, nlg
         self._spelling = spelling or Spelling(agent.domain)
         self.domain = self._spelling.domain
-        # The agent sees numbers of records: those that match in whichever spelling.
+        # The agent sees the numbers of matching records, which must match in any spelling.
         simulator = Simulator(tensorize(self.domain), max_turn=agent.simulator.max_turn)
         self._tracking = Tracking(simulator, agent.active)
         self.control = Control(simulator, rules)
@@ -169,9 +169,9 @@ class Partner:
         """Answers a text.
 
         Args:
-            memory: of the last answer; ``None`` at the start.
-            text: what the person typed.
-            seed: of everything random in the answer.
+            memory: the memory in the last answer; ``None`` at the start.
+            text: the person's text.
+            seed: the seed of everything random in the answer.
         """
         before = memory or Memory()
         now = replace(before, texts=before.texts + 1, checked="")
@@ -200,7 +200,7 @@ class Partner:
             return Answer(sentence, understood, understood.frame, said, now)
         heard, now = asking.joined(understood.frame), replace(now, asking=Asking())
         if heard.act == "closing" or heard == Frame("greeting"):
-            # Not the agent's decision: a greeting is returned, a farewell ends it.
+            # Not the agent's decision: a greeting is returned, a farewell ends the conversation.
             said, ended = Frame(heard.act), "person" if heard.act == "closing" else ""
             sentence = self._nlg.agent(said, **words)
             return Answer(sentence, understood, heard, said, now, ended=ended)
@@ -209,7 +209,7 @@ class Partner:
     def _act(
         self, now: Memory, understood: Understood, heard: Frame, seed: int, words: dict[str, Any]
     ) -> Answer:
-        """Returns the answer of the policy to an act."""
+        """Returns the policy's answer to an act."""
         acted = self._acting.reply(now.state, heard, seed)
         said, now = acted.said, replace(now, state=acted.state)
         sentences = [self._nlg.agent(act, held, **words) for act, held in acted.parts]
@@ -259,25 +259,25 @@ class Partner:
         """Returns the agent's beliefs when it heard an act; ``None`` without a posterior.
 
         Args:
-            memory: before the text.
-            heard: the act it acted on.
-            seed: of the draws.
+            memory: the memory before the text.
+            heard: the act that the agent acted on.
+            seed: the seed of the draws.
         """
         return self.agent.beliefs(self._observed(memory, heard), seed)
 
     def values(self, memory: Memory | None, heard: Frame, seed: int) -> dict[str, float]:
-        """Returns the values that the agent acted on, by action; arguments as of `beliefs`."""
+        """Returns the values that the agent acted on, by action; arguments as in `beliefs`."""
         return self.agent.values(self._observed(memory, heard), seed)
 
     def reasons(self, memory: Memory | None, heard: Frame, seed: int) -> Reasons | None:
-        """Returns why its best action is better than the second; arguments as of `beliefs`."""
+        """Returns the reasons for its best action over the second; arguments as in `beliefs`."""
         return self.agent.reasons(self._observed(memory, heard), seed)
 
     def _observed(self, memory: Memory | None, heard: Frame) -> torch.Tensor:
         return self._tracking.observe(self._acting.hear((memory or Memory()).state, heard))
 
     def _understood(self, text: str, question: Frame | None) -> Understood:
-        """Returns the meaning of a text, its values in the one spelling."""
+        """Returns the meaning of a text, with its values in the one spelling."""
         understood = self._nlu(text, question)
         rules = self.control.rules
         if "aside" in rules and question is not None:
@@ -301,7 +301,7 @@ class Partner:
         return replace(understood, frame=frame, confidence=alone.confidence)
 
     def _ask_again(self, now: Memory, understood: Understood | None, sentence: str) -> Answer:
-        """Returns a question about a text; the state of the dialogue stays as it is."""
+        """Returns a question about a text; the state of the dialogue is unchanged."""
         now = replace(now, asking=now.asking.again(understood))
         heard = said = Frame("not_sure")
         if understood is not None:
@@ -313,6 +313,6 @@ class Partner:
 
 
 def _values(of: Frame | Mapping[str, str]) -> dict[str, str]:
-    """Returns the values of a frame or of the tracker that are of the domain."""
+    """Returns the values of a frame or of the tracker, without reserved ones."""
     informs = of.informs if isinstance(of, Frame) else of
     return {slot: value for slot, value in informs.items() if value not in RESERVED_TEXT.values()}

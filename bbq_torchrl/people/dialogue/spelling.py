@@ -1,4 +1,4 @@
-"""One spelling for each value, in which people and agents, goals and records agree."""
+"""One spelling for each value, shared by people, agents, goals and records."""
 
 from __future__ import annotations
 
@@ -22,13 +22,13 @@ class Spelling:
     """The one spelling that each value of a domain has in a conversation.
 
     Corpora spell some values in several ways ("7:30pm" and "7:30 pm", "2" and "two"), and a record
-    or a goal has one of them. Whoever types the other means the same.
+    or a goal has one of them. A person who types another means the same.
 
     Args:
-        domain: what is spoken of, with its phrases in its folder; of none, the generic ones.
+        domain: the domain, with its phrases in its folder; otherwise with the generic phrases.
 
     Attributes:
-        domain: the same, its records and goals in that spelling: the one that most of them have.
+        domain: the domain, with its records and goals in their most frequent spelling.
 
     Examples:
         >>> from bbq_torchrl.domains import movie_domain
@@ -53,11 +53,11 @@ class Spelling:
                 self._recorded.setdefault(slot, set(_RESERVED)).add(fold(record[slot]))
 
     def of(self, values: Mapping[str, str]) -> dict[str, str]:
-        """Returns slot to value in that spelling; values that the domain has not, as they are."""
+        """Returns the values by slot in that spelling; unknown values are unchanged."""
         return {slot: self._lexicon.respell(slot, value) for slot, value in values.items()}
 
     def absent(self, values: Mapping[str, str]) -> dict[str, str]:
-        """Returns those of some values that constrain a booking, and that no record has."""
+        """Returns the values that constrain a booking and that no record has."""
         return {
             slot: value
             for slot, value in values.items()
@@ -67,12 +67,12 @@ class Spelling:
     def named(
         self, text: str, slots: Iterable[str], asked: Collection[str] = ()
     ) -> tuple[str, ...]:
-        """Returns those of some slots that a text has a noun of.
+        """Returns the slots for which a text has a noun.
 
         Args:
-            text: what a person typed.
-            slots: that may be named.
-            asked: slots that were spoken of: their nouns do not name another slot.
+            text: the person's text.
+            slots: the slots that may be named.
+            asked: the slots asked about: their nouns do not name another slot.
         """
         nouns = {slot: set(phrases.nouns) for slot, phrases in self._lexicon.phrases.slots.items()}
         spoken = set().union(*(nouns[slot] for slot in asked))

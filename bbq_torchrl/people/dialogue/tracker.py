@@ -1,4 +1,4 @@
-"""The agent's side of a dialogue with a person: what it hears, what it sees, and its acts."""
+"""The agent's side of a dialogue with a person: what it hears and observes, and its acts."""
 
 from __future__ import annotations
 
@@ -21,17 +21,17 @@ if TYPE_CHECKING:
 class Tracking:
     """The agent's knowledge of one dialogue, as pure functions on a state.
 
-    The state is a TensorDict of batch size ``[]`` with those keys of the
-    :class:`~bbq_torchrl.simulator.Simulator`'s that the features are made of, and
+    The state is a TensorDict of batch size ``[]`` with the keys of the
+    :class:`~bbq_torchrl.simulator.Simulator`'s state that the features use, and
     ``open_requests``.
 
-    A simulated user repeats in each turn what it waits to be told, and sets its questions aside
-    while it answers the agent's. A person asks once: the tracker keeps requests that were heard
-    until they are answered (:meth:`~bbq_torchrl.simulator.tracker.Tracker.ask`). Of a simulated
-    user the agent sees bit for bit what it sees in the simulator.
+    A simulated user repeats its unanswered questions in each turn, and sets them aside while it
+    answers the agent's. A person asks once, so the tracker keeps the requests that it heard until
+    they are answered (:meth:`~bbq_torchrl.simulator.tracker.Tracker.ask`). With a simulated user,
+    the observations are bit for bit those of the simulator.
 
     Args:
-        simulator: of the domain.
+        simulator: the domain's simulator.
         active: bool ``[S]``, the slots active for the agent.
 
     Examples:
@@ -77,10 +77,10 @@ class Tracking:
         return self.hear(state, heard)
 
     def act(self, state: TensorDict, action: int) -> TensorDict:
-        """Returns the state after an act of the agent, its values filled in.
+        """Returns the state after an act of the agent, with its values filled in.
 
         Args:
-            state: the state; left as it is.
+            state: the state, which is not modified.
             action: index of one of the domain's actions.
         """
         tracker = self._simulator.tracker
@@ -100,8 +100,8 @@ class Tracking:
         """Returns the state after a person's act.
 
         Args:
-            state: the state; left as it is.
-            heard: what was understood; values that the domain does not know are left out.
+            state: the state, which is not modified.
+            heard: the act understood; values that the domain does not know are left out.
         """
         coding, tracker = self._coding, self._simulator.tracker
         before = coding.acts[int(state["heard_act"])]
@@ -150,10 +150,10 @@ class Acted:
     """The acts of one reply.
 
     Attributes:
-        heard: the act that they reply to.
-        state: of the tracker, after them.
-        parts: each act, and the values held before it.
-        control: the rules that kept the agent from the act of its choice.
+        heard: the act that the agent replies to.
+        state: the state of the tracker after the acts.
+        parts: each act, and the tracker's values before it.
+        control: the rules that kept the agent from its preferred act.
     """
 
     heard: Frame
@@ -163,18 +163,18 @@ class Acted:
 
     @property
     def said(self) -> Frame:
-        """All acts as one: the last, with the values that answers before it inform."""
+        """All acts as one: the last act, with the values that earlier answers inform."""
         *answers, (last, _) = self.parts
         informs = {slot: value for act, _ in answers for slot, value in act.informs.items()}
         return Frame(last.act, {**informs, **last.informs}, last.requests)
 
 
 class Acting:
-    """Acts of an agent within the dialogue control.
+    """The acts of an agent under the dialogue control.
 
     Args:
         agent: the policy.
-        tracking: of the agent's knowledge.
+        tracking: the agent's knowledge.
         control: the rules.
     """
 
@@ -186,18 +186,18 @@ class Acting:
         self._booking = torch.arange(len(agent.legal)) == booking
 
     def hear(self, state: TensorDict | None, heard: Frame) -> TensorDict:
-        """Returns the state after a person's act; ``None`` is before the first."""
+        """Returns the state after a person's act; ``state`` is ``None`` before the first."""
         if state is None:
             return self._control.remember(self._tracking.start(heard))
         return self._control.remember(self._tracking.hear(state, heard))
 
     def reply(self, state: TensorDict | None, heard: Frame, seed: int) -> Acted:
-        """Returns the acts that reply to a person's.
+        """Returns the acts that reply to a person's act.
 
         Args:
-            state: before the person's act; ``None`` before the first.
+            state: the state before the person's act; ``None`` before the first.
             heard: the person's act.
-            seed: of what is random in the policy.
+            seed: the seed of the policy's random choices.
         """
         agent, control = self._agent, self._control
         legal = agent.legal
@@ -229,8 +229,8 @@ class Acting:
     ) -> tuple[TensorDict, list[tuple[Frame, dict[str, str]]]]:
         """Returns the state after the answers to all open questions, or to one without a match.
 
-        Afterwards it is as if the person had asked for the ticket, as simulated users do who have
-        nothing else to ask.
+        The state is then as if the person had asked for the ticket, as simulated users do when they
+        have nothing else to ask.
         """
         parts: list[tuple[Frame, dict[str, str]]] = []
         turn = state["turn"]

@@ -59,7 +59,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "--sentences", type=int, default=SENTENCES, help="of people to learn from"
         )
         command.add_argument("--seed", type=int, default=0)
-        command.add_argument("--labeled", type=Path, help="own labeled lines, learned as well")
+        command.add_argument("--labeled", type=Path, help="your labeled lines, learned as well")
         command.add_argument("--file", type=Path, help="where the understander goes")
         if name == "measure":
             command.add_argument(

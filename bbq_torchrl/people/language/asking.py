@@ -1,4 +1,4 @@
-"""Asking again: when a system asks, and how it joins the answer to what it understood before."""
+"""Asking again: when to ask, and how to merge the answer with what was understood before."""
 
 from __future__ import annotations
 
@@ -14,18 +14,18 @@ OPENING = Frame("none")
 """Placeholder for the agent's last act before it has acted."""
 
 FOREIGN = Frame("foreign")
-"""Placeholder for what the domain cannot mean."""
+"""Placeholder for the meaning of an out-of-domain sentence."""
 
 
 @dataclass(frozen=True)
 class Unclear:
-    """Words that name a value of a slot which is not known, or several, or not what is wanted.
+    """Words that name an unknown, an ambiguous or a rejected value of a slot.
 
     Args:
-        slot: what they seem to be about.
+        slot: the slot they seem to be about.
         text: the words.
-        candidates: the values that they may mean equally well; none for an unknown one.
-        is_denied: whether the person wants anything but this value: ``text`` names it.
+        candidates: the values that fit equally well; empty for an unknown value.
+        is_denied: whether the person rejects the value that ``text`` names.
     """
 
     slot: str
@@ -41,8 +41,8 @@ class Understood:
     Args:
         frame: the act with values of the domain.
         confidence: the probability that the frame is right.
-        unclear: words that are not in the frame, and that the system should ask about.
-        source: who understood: ``"own"`` or ``"endpoint"``.
+        unclear: words left out of the frame, which the system should ask about.
+        source: the nlu that understood it: ``"own"`` or ``"endpoint"``.
     """
 
     frame: Frame
@@ -52,34 +52,34 @@ class Understood:
 
 
 def asked_slot(question: Frame) -> str | None:
-    """Returns the slot that an agent's act asks for, of several the first."""
+    """Returns the first slot that an agent's act asks for, if any."""
     return question.requests[0] if question.requests else None
 
 
 MAX_ASKS = 2
-"""The most times to ask again in a row: a mistake can be corrected, endless asking cannot."""
+"""The most clarifications in a row: a mistake can be corrected, endless asking cannot."""
 
 
 class Nlu(Protocol):
     """Understands sentences."""
 
     def __call__(self, text: str, question: Frame | None = None) -> Understood:
-        """Returns the meaning of a text in the light of the agent's last act."""
+        """Returns the meaning of a text, given the agent's last act."""
 
     def asks(self, understood: Understood) -> bool:
-        """Returns whether a sentence was understood too badly to act on it."""
+        """Returns whether a sentence was understood too poorly to act on."""
 
 
 @dataclass(frozen=True)
 class Asking:
-    """The questions that a system has asked again since it last acted; at first none.
+    """The clarification questions since the system last acted; initially empty.
 
     Attributes:
-        times: how often.
-        waiting: what was understood apart from what it asked about.
-        slot: what it asked about; empty where it asked for other words.
-        choices: between which values of it; none where it knew none.
-        is_check: whether it asked if ``waiting`` is right.
+        times: the number of questions.
+        waiting: the act understood so far, without the unclear value.
+        slot: the slot it asked about; empty if it asked the user to rephrase.
+        choices: the candidate values of the slot, if any.
+        is_check: whether it asked for confirmation of ``waiting``.
 
     Examples:
         >>> from bbq_torchrl.people.language import Unclear, Understood
@@ -104,13 +104,13 @@ class Asking:
         understood: Understood,
         below: float | None = None,
     ) -> bool:
-        """Returns whether the system asks again rather than act on what it understood.
+        """Returns whether the system asks again instead of acting on what it understood.
 
         Args:
-            nlu: who understood.
-            understood: what.
-            below: the confidence below which it asks; where a name is unclear it asks at any.
-                ``None`` for what is usual to who understood, 0 for never.
+            nlu: the nlu that understood the text.
+            understood: the result of the nlu.
+            below: the confidence below which it asks; it always asks about an unclear name.
+                ``None`` for the threshold of the nlu, 0 for never.
         """
         if self.times >= MAX_ASKS or below == 0:
             return False
@@ -119,11 +119,11 @@ class Asking:
         return understood.confidence < below or bool(understood.unclear)
 
     def again(self, understood: Understood | None) -> Asking:
-        """Returns the questions after it has asked again.
+        """Returns the questions after the system has asked again.
 
         Args:
             understood: the system asks about its first unclear name. Without one, and for a text
-                that could not be read (``None``), it asks for other words.
+                that could not be read (``None``), it asks the user to rephrase.
         """
         if understood is None or not understood.unclear:
             return replace(self, times=self.times + 1)
@@ -132,11 +132,11 @@ class Asking:
         return Asking(self.times + 1, waiting, unclear.slot, unclear.candidates)
 
     def checking(self, understood: Understood) -> Asking:
-        """Returns the questions after the system has asked whether it understood a text rightly."""
+        """Returns the questions after the system has asked for confirmation."""
         return Asking(self.times + 1, self.joined(understood.frame), is_check=True)
 
     def question(self, said: Frame | None) -> Frame | None:
-        """Returns the act in whose light the next text is read.
+        """Returns the act that the next text answers.
 
         Args:
             said: the agent's last act; ``None`` before its first.
@@ -148,7 +148,7 @@ class Asking:
         return Frame("request", {}, (self.slot,)) if self.slot else said
 
     def joined(self, frame: Frame) -> Frame:
-        """Returns an act with what was understood of the texts before, which were asked about."""
+        """Returns an act merged with what was understood from the previous texts."""
         is_of_values = frame.act in ("inform", "request", "confirm_question")
         if self.waiting is None or not (frame.informs or frame.requests or is_of_values):
             return frame  # "No, goodbye."
@@ -162,9 +162,9 @@ def repeated(meant: Frame, asked: Sequence[str]) -> Frame:
     """Returns the act of a simulated user who is asked again.
 
     Args:
-        meant: what it has said.
-        asked: the slots that it is asked about: it says them alone, where it has said any of them.
-            Otherwise it says all of it once more.
+        meant: the user's act.
+        asked: the slots asked about. The user repeats only these if the act informs any of them,
+            and otherwise the whole act.
     """
     informs = {slot: meant.informs[slot] for slot in asked if slot in meant.informs}
     return Frame("inform", informs) if informs else meant

@@ -1,4 +1,4 @@
-"""From a reading to a frame: short answers, and the likeliest act and questions."""
+"""From a reading to a frame: short answers, and the most likely act and questions."""
 
 from __future__ import annotations
 
@@ -40,11 +40,11 @@ _YES = frozenset("yes yeah yep yup right correct sure exactly ok okay indeed tru
 
 
 def chosen(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | None:
-    """Returns the offered value that a short answer takes: "the second", "the later one".
+    """Returns the offered value that a short answer picks: "the second", "the later one".
 
     Args:
-        words: of the answer.
-        question: the agent's last act; its ``choices`` are what is offered.
+        words: the words of the answer.
+        question: the agent's last act, with the offered values in its ``choices``.
         lexicon: the domain's values.
     """
     if not question.choices:
@@ -55,7 +55,7 @@ def chosen(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | Non
     if len(named) == 1:
         return named[0]
     clocks = {lexicon.key(slot, value)[-5:]: value for value in choices}
-    # Other keys than "at 19:30" and "after 18:00" have no order.
+    # Only keys such as "at 19:30" and "after 18:00" can be ordered.
     if lexicon.kinds.get(slot) == "time" and all(clock[2:3] == ":" for clock in clocks):
         if "later" in words or "latest" in words:
             return clocks[max(clocks)]
@@ -83,17 +83,17 @@ def assemble(
     question: Frame,
     lexicon: Lexicon,
 ) -> tuple[Frame, tuple[Unclear, ...]]:
-    """Returns the frame of a reading, and what is unclear.
+    """Returns the frame of a reading, and the unclear words.
 
     Args:
-        words: of the sentence.
-        reading: what the learned parts say.
+        words: the words of the sentence.
+        reading: the output of the learned parts.
         question: the agent's last act.
         lexicon: the domain's values.
     """
     asked = asked_slot(question)
     if asked is not None and NO_MATCH_TEXT in " ".join(words):
-        # Simulated users pass on that the agent has found nothing.
+        # Simulated users repeat that the agent found no match.
         return Frame("inform", {asked: NO_MATCH_TEXT}), ()
     offered = chosen(words, question, lexicon)
     if asked is not None and offered is not None:
@@ -126,7 +126,7 @@ def assemble(
         return Frame("inform", dict(checked)), ()
     is_strange = reading.unknown == 1.0 and not (informs or unclear)
     if is_strange and act not in _ABOUT_VALUES and asked is not None:
-        # Words that nobody has heard of answer the question: a name that is not known.
+        # Unknown words answer the question, so they are an unknown name.
         return Frame("inform"), (Unclear(asked, " ".join(words)),)
     return _decided(words, reading, question, lexicon, informs, unclear), unclear
 
@@ -139,12 +139,12 @@ def _decided(
     told: dict[str, str],
     unclear: tuple[Unclear, ...],
 ) -> Frame:
-    """Returns the likeliest frame that the labeling guide allows, given the values told."""
+    """Returns the most likely frame that the labeling guide allows, given the values told."""
     domain = lexicon.domain
     asked = dict(zip(domain.slots, reading.requests.tolist(), strict=True))
     cares = dict(zip(domain.slots, reading.dont_care.tolist(), strict=True))
     requests = tuple(s for s, chance in asked.items() if chance > (_ALSO if s in told else 0.5))
-    is_known = reading.unknown < 1.0  # Words that nobody has heard of say nothing.
+    is_known = reading.unknown < 1.0  # Unknown words carry no information.
     denied = {one.slot for one in unclear if one.is_denied}
     open_ = [slot for slot in lexicon.slots if slot not in told and slot not in denied]
     free = {slot: ANY for slot in open_ if is_known and cares[slot] > 0.5}
@@ -154,7 +154,7 @@ def _decided(
     is_repeated = all(
         lexicon.key(s, question.informs.get(s, "")) == lexicon.key(s, told[s]) for s in told
     )
-    keeps = {"deny", "closing", *(["thanks"] if is_offer else [])}  # may ask something besides
+    keeps = {"deny", "closing", *(["thanks"] if is_offer else [])}  # may also ask something
     lost = sum(_odds(asked[slot]) for slot in requests)
     scores = {}
     for act, score in zip(domain.acts, reading.acts.tolist(), strict=True):
@@ -166,7 +166,7 @@ def _decided(
                 continue
         elif has_content and act != "confirm_question":
             if act not in ("thanks", "deny") or requests or unclear or not is_repeated:
-                continue  # "Nine thirty is fine", and nothing else, agrees to nine thirty.
+                continue  # "Nine thirty is fine" alone agrees to nine thirty.
         elif act not in keeps:
             score -= lost
         scores[act] = score
@@ -180,7 +180,7 @@ def _decided(
     elif act != "inform" and act not in keeps:
         requests = ()
     if act == "inform" and question is not OPENING and not (has_content or free or requests):
-        # Who answers and names nothing does not care, if that is at all likely.
+        # An answer that names nothing does not care, if that is at all likely.
         best = max(lexicon.slots, key=lambda slot: cares[slot])
         if cares[best] > _RATHER and is_known:
             free = {best: ANY}
@@ -188,7 +188,7 @@ def _decided(
 
 
 def _odds(chance: float) -> float:
-    """Returns the log-odds of a chance."""
+    """Returns the log-odds of a probability."""
     chance = min(max(chance, 1e-4), 1 - 1e-4)
     return math.log(chance / (1 - chance))
 
@@ -196,24 +196,24 @@ def _odds(chance: float) -> float:
 def _short_answer(
     words: Sequence[str], reading: Reading, slot: str | None, lexicon: Lexicon
 ) -> dict[str, str] | None:
-    """Returns the value of the slot asked for, if the words are just one of its names."""
+    """Returns the value of the slot asked for, if the words are exactly one of its names."""
     if slot is None or len(words) > SHORT or words[0] in _NOT:
         return None
     if lexicon.kinds.get(slot) == "count" and (
         "?" in words or not {OUTSIDE, slot}.issuperset(reading.tags)
     ):
-        return None  # "four, on saturday" has one number, and more than it.
+        return None  # "four, on saturday" has one number, but says more.
     if slot in lexicon.slots and words[0] in _ANY and len(words) == 1:
         return {slot: ANY}
     text = " ".join(words)
     link = lexicon.link(slot, text) if slot in lexicon.slots else None
     if link is not None and len(link.values) == 1 and link.score >= _SURE:
         return {slot: link.values[0]}
-    # "The closest" is no theater, and what it is can be told without the question.
+    # "The closest" is not a theater, and its slot is clear without the question.
     other = lexicon.only_slot(text)
     if other is None:
         return None
-    values = lexicon.link(other, text).values  # "-3" has the name of 3, and is none
+    values = lexicon.link(other, text).values  # "-3" has the name of 3, but no value
     return {other: values[0]} if values else None
 
 
@@ -230,7 +230,7 @@ def _any_of(words: Sequence[str], lexicon: Lexicon) -> str | None:
 
 
 def _named(words: Sequence[str], slot: str | None, lexicon: Lexicon) -> dict[str, str]:
-    """Returns the value of the slot asked for whose name, or amount, is somewhere in an answer."""
+    """Returns the value of the slot asked for if an answer contains its name or number."""
     if slot not in lexicon.slots:
         return {}
     is_count = lexicon.kinds[slot] == "count"
@@ -238,10 +238,10 @@ def _named(words: Sequence[str], slot: str | None, lexicon: Lexicon) -> dict[str
         for start in range(len(words) - size + 1):
             own = words[start : start + size]
             if is_count and not (COUNT_WORDS.issuperset(own) and _COUNTS.intersection(own)):
-                continue  # "depends on my sister" tells no number.
+                continue  # "depends on my sister" gives no number.
             name = " ".join(own)
             if lexicon.kinds[slot] == "text" and len(name) < _LEAST_LETTERS:
-                continue  # "ok" is Oklahoma where it stands alone.
+                continue  # "ok" is Oklahoma only if it stands alone.
             link = lexicon.link(slot, name)
             if link.is_exact:
                 return {slot: link.values[0]}
@@ -249,6 +249,6 @@ def _named(words: Sequence[str], slot: str | None, lexicon: Lexicon) -> dict[str
 
 
 def _accepts(words: Sequence[str], question: Frame, offer: str) -> bool:
-    """Returns whether a booking is offered, and the sentence begins by agreeing to it."""
+    """Returns whether a booking was offered and the sentence begins by accepting it."""
     is_offered = question.informs.get(offer, NO_MATCH_TEXT) != NO_MATCH_TEXT
     return is_offered and words[0] in _YES

@@ -1,4 +1,4 @@
-"""An understander that is trained once for a domain, and kept in the user's cache folder."""
+"""An understander that is trained once for a domain and kept in the user's cache folder."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ def cached_understander(
     labeled: Path | None = None,
     tell: Callable[[str], None] = lambda _: None,
 ) -> Understander:
-    """Returns the understander of a domain, trained where the cache folder has none.
+    """Returns the understander of a domain, and trains it if it is not in the cache folder.
 
-    It is kept under a name that is a hash of all it was made of.
+    Its file is named after a hash of everything that it is made from.
 
     Args:
-        domain: what is spoken of, with its phrases in its folder; of none, the generic ones.
-        labeled: own labeled lines to learn from as well.
-        tell: is told when training begins, which takes a minute; on a terminal a bar shows how
-            far it is.
+        domain: the domain, with its phrases in its folder; otherwise with the generic phrases.
+        labeled: the user's labeled lines, to learn from as well.
+        tell: called with a message when training begins, which takes a minute; a terminal shows a
+            progress bar.
 
     Raises:
         ValueError or OSError: a file that cannot be used.
@@ -49,24 +49,24 @@ def cached_understander(
     tell("Learning the language of the domain, once; it takes about a minute ...")
     with tqdm(total=TICKS, desc="learning", disable=None, leave=False) as bar:  # on a terminal
         own = Understander.train(domain, labeled=lines, tick=bar.update)
-    with suppress(OSError):  # without a cache folder it is made anew
+    with suppress(OSError):  # without a cache folder it is trained each time
         _make_private(kept.parent)
         own.save(kept)
     return own
 
 
 def _cache_folder() -> Path:
-    """Returns the user's cache folder; without a home, a place where nothing can be kept."""
+    """Returns the user's cache folder; without a home folder, a path that cannot store files."""
     if given := os.environ.get("XDG_CACHE_HOME"):
         return Path(given)
     try:
         return Path.home() / ".cache"
-    except RuntimeError:  # neither HOME nor a name of the user, as in some containers
+    except RuntimeError:  # neither HOME nor a user name, as in some containers
         return Path(os.devnull)
 
 
 def _make_private(folder: Path) -> None:
-    """Makes a folder that only its user can enter, or makes it so: what it holds is believed.
+    """Creates a folder if needed, and restricts it to its user: its files are trusted.
 
     Raises:
         OSError: it cannot be made, or is another user's.
@@ -78,11 +78,11 @@ def _make_private(folder: Path) -> None:
 
 
 def language_key(domain: Domain, labeled: Path | None = None) -> str:
-    """Returns a hash of all that an understander is made of, and that sentences are made of.
+    """Returns a hash of everything that the understander and the sentences are made from.
 
     Args:
-        domain: what is spoken of.
-        labeled: own labeled lines.
+        domain: the domain.
+        labeled: the user's labeled lines.
     """
     digest = hashlib.sha256(f"{version('bbq-torchrl')} {domain!r}".encode())
     sources = sorted(Path(__file__).parent.glob("*.*"))

@@ -1,4 +1,4 @@
-"""Numbers of people: how many come, where the tagger passed it over or found a part of it."""
+"""Numbers of people that the tagger missed or found only in part."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ _COUNTS_TOLD = [
 def counted(
     words: Sequence[str], tags: Sequence[str], question: Frame, lexicon: Lexicon
 ) -> list[str]:
-    """Returns the tags with those of counts that were passed over.
+    """Returns the tags, with the counts that the tagger missed.
 
-    They stand before a noun ("2 tickets"), first ("2 dune") or in words that tell how many come
-    ("my wife and I", "for two").
+    These stand before a noun ("2 tickets"), come first ("2 dune") or are in a phrase for the number
+    of people ("my wife and I", "for two").
 
     Args:
-        words: of the sentence.
-        tags: the tagger's, one for each word.
+        words: the words of the sentence.
+        tags: the tagger's tag of each word.
         question: the agent's last act.
         lexicon: the domain's values.
     """
@@ -72,7 +72,7 @@ def counted(
 
 
 def _told(words: Sequence[str]) -> list[tuple[int, int]]:
-    """Returns where words tell how many come, from a word to the one after the last."""
+    """Returns the start and the end of each phrase for a number of people, in words."""
     text = " ".join(words)
     matches = filter(None, (pattern.search(text) for pattern in _COUNTS_TOLD))
     places = [match.span(match.lastindex or 0) for match in matches]
@@ -82,13 +82,13 @@ def _told(words: Sequence[str]) -> list[tuple[int, int]]:
 def company(
     slot: str, words: Sequence[str], start: int, end: int, lexicon: Lexicon
 ) -> tuple[int, int]:
-    """Returns where the whole of a number of people stands: "with my two" brothers is three.
+    """Returns the full extent of a number of people: "with my two" brothers is three.
 
     Args:
-        slot: that of the number.
-        words: of the sentence.
-        start: the first word that was tagged.
-        end: the word after the last.
+        slot: the slot of the number.
+        words: the words of the sentence.
+        start: the first tagged word.
+        end: the word after the last tagged one.
         lexicon: the domain's values.
     """
     first, last = start, end

@@ -1,4 +1,4 @@
-"""Sentences of users, from frames: clauses of the grammar, put together at random."""
+"""User sentences from frames: clauses of the grammar, combined at random."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ class _Turn:
 
 
 class Composer:
-    """Makes sentences of users.
+    """Composes user sentences.
 
     Args:
         lexicon: the domain's phrases and values.
-        simulated: whether the users are simulated: a value that several slots have is theirs who
-            own it, where nothing else is said.
+        simulated: whether the users are simulated: a value that several slots share then means the
+            slot that has it most, unless another is named.
     """
 
     def __init__(self, lexicon: Lexicon, *, simulated: bool = False) -> None:
@@ -67,14 +67,14 @@ class Composer:
         *,
         is_clear: bool = False,
     ) -> list[Piece]:
-        """Returns a sentence that says ``frame``, in pieces.
+        """Returns a sentence that expresses ``frame``, in pieces.
 
         Args:
-            frame: what the user means.
+            frame: the user's act.
             question: the agent's last act; ``None`` at the opening.
-            rng: chooses.
-            surface: from slot and value to how it is said.
-            is_clear: whether a value that several slots have is said with the slot's name, and
+            rng: the random number generator.
+            surface: returns the wording of a slot's value.
+            is_clear: whether a value that several slots share comes with the slot's name, and
                 each clause is a sentence.
         """
         told = {slot: value for slot, value in frame.informs.items() if value != ANY}
@@ -102,7 +102,7 @@ class Composer:
             parts.append(self._fill(clear, turn, slot, {slot: values[slot]}))
         said = _join(parts, rng, [". "] if is_clear else _MARKS)
         if self._owners or turn.is_terse:
-            return said  # Simulated users, whose owners are given, make no remarks.
+            return said  # Simulated users, the only ones with owners, make no side remarks.
         aside = partial(choose, self._rules["aside"], {}, self._rules, rng)
         if rng.random() < _ASIDES:
             said = [*aside(), Piece(rng.choice(_AFTER_ASIDE)), *said]
@@ -133,7 +133,7 @@ class Composer:
         return parts
 
     def _ask(self, requests: Sequence[str], turn: _Turn) -> list[list[Piece]]:
-        """Returns the questions, the values around the first."""
+        """Returns the questions, with the values around the first."""
         asked = self._questions(requests, turn)
         first = asked[0]
         front: list[Piece] = []
@@ -172,7 +172,7 @@ class Composer:
         return [Piece(turn.rng.choice(("the ", "")) + entry.name)]
 
     def _tell(self, cares: list[str], turn: _Turn) -> list[list[Piece]]:
-        """Returns an answer, a correction or a statement, and takes what it says out of `cares`."""
+        """Returns an answer, a correction or a statement, and removes what it says from `cares`."""
         rng, asked, wrong = turn.rng, turn.question.requests, turn.question.informs
         parts: list[list[Piece]] = []
         for slot in [slot for slot in cares if slot in asked]:
@@ -215,7 +215,7 @@ class Composer:
         return stated if turn.is_terse else self._wrap("state", stated, turn)
 
     def _rest(self, turn: _Turn, *, is_first: bool) -> list[list[Piece]]:
-        """Returns clauses for the values that are left."""
+        """Returns clauses for the remaining values."""
         parts: list[list[Piece]] = []
         while turn.left:
             slot = turn.left.pop()
@@ -240,7 +240,7 @@ class Composer:
         return said
 
     def _books_by_chance(self, said: list[Piece], slot: str, turn: _Turn) -> bool:
-        """Returns whether a value is said in words that also ask for the ticket: "2 tickets"."""
+        """Returns whether the words for a value also ask for the ticket: "2 tickets"."""
         if turn.is_booking or slot in turn.question.requests:
             return False
         words = {word for piece in said if piece.slot is None for word in piece.text.split()}
@@ -256,13 +256,13 @@ class Composer:
         slot: str | None = None,
         values: Mapping[str, list[Piece]] | None = None,
     ) -> list[Piece]:
-        """Returns one of the phrases; the values that it says are no more left to be said."""
+        """Returns one of the phrases, and removes its values from those left to say."""
         left = {name: turn.values[name] for name in turn.left} | dict(values or {})
         if slot is not None:
             left["<name>"] = [Piece(self._phrases.slots[slot].name)]
         possible = [option for option in options if is_possible(option, left, self._rules)]
         if turn.left and values is None:
-            # Few phrases name a value themselves; most need none.
+            # Few phrases name a value themselves; most do not need one.
             richer = [t for t in possible if any(kind == "slot" for kind, _ in t.names())]
             if richer and turn.rng.random() < 0.4:
                 possible = richer
@@ -274,7 +274,7 @@ class Composer:
 
 
 def _join(parts: list[list[Piece]], rng: random.Random, marks: Sequence[str]) -> list[Piece]:
-    """Returns the clauses one after another."""
+    """Returns the clauses, joined by random marks."""
     joined: list[Piece] = []
     for part in parts:
         if joined:

@@ -17,9 +17,9 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.language.asking import Unclear
     from bbq_torchrl.people.language.model import Reading
 
-_PEOPLE = 10.0  # how much of the grammar's weights people's sentences must outweigh
+_PEOPLE = 10.0  # prior strength of the grammar's weights for people's sentences
 _GRAMMAR = 1.0
-_WHOLE = 0.3  # log-odds by which the whole model is more often right than those of half the lines
+_WHOLE = 0.3  # log-odds by which the full model is better than those trained on half the lines
 CUES = 12
 
 
@@ -32,19 +32,19 @@ def cues_of(
     chance: float,
     is_steady: bool,
 ) -> np.ndarray:
-    """Returns the cues of whether a frame is right, ``[CUES]``.
+    """Returns the cues for whether a frame is right, ``[CUES]``.
 
-    The log-probability of the tags, of all requests and of all that does not matter, the
-    probability of the frame's act, the share of unknown words, whether something is unclear,
-    whether the frame stays the same without small words, whether it tells and asks nothing,
-    whether the words have a question mark, whether they have several clauses, the log-probability
-    that the domain can mean them, and 1.
+    The log-probability of the tags, of all requests and of all don't-cares, the probability of
+    the frame's act, the share of unknown words, whether something is unclear, whether the frame
+    stays the same without small words, whether it neither informs nor requests anything, whether
+    the words have a question mark, whether they have several clauses, the log-probability that
+    they are in the domain, and 1.
 
     Args:
-        words: of the sentence.
-        reading: what the learned parts say.
-        frame: what was made of it.
-        unclear: what the frame leaves out.
+        words: the words of the sentence.
+        reading: the output of the learned parts.
+        frame: the frame of the sentence.
+        unclear: the words that the frame leaves out.
         chance: the probability of the frame's act.
         is_steady: whether the sentence without its small words has the same frame.
     """
@@ -67,12 +67,12 @@ def cues_of(
 
 
 def _sure(chances: torch.Tensor) -> float:
-    """Returns the log-probability that each of some chances ``[S]`` is on its likelier side."""
+    """Returns the joint log-probability of the more likely outcomes of ``chances``, ``[S]``."""
     return float(torch.maximum(chances, 1 - chances).clamp(min=1e-6).log().sum())
 
 
 def probability(cues: np.ndarray, weights: np.ndarray) -> float:
-    """Returns the probability that a frame is right, of its cues and their weights ``[CUES]``."""
+    """Returns the probability that a frame is right, given its cues and weights ``[CUES]``."""
     logit = float(cues @ weights)
     return 1.0 / (1.0 + math.exp(-min(max(logit, -30.0), 30.0)))
 
@@ -80,14 +80,13 @@ def probability(cues: np.ndarray, weights: np.ndarray) -> float:
 def fit_confidence(
     grammar: tuple[np.ndarray, np.ndarray], people: tuple[np.ndarray, np.ndarray] | None = None
 ) -> np.ndarray:
-    """Returns the weights ``[CUES]`` of a logistic regression from cues to what is right.
+    """Returns the weights ``[CUES]`` of a logistic regression from cues to correctness.
 
-    Sentences of people are few, so they only move the weights that the grammar's sentences give.
+    People's sentences are few, so they only adjust the weights fitted to the grammar's sentences.
 
     Args:
-        grammar: cues ``[N, CUES]`` of sentences of the grammar and whether each was right ``[N]``.
-        people: the same of sentences of people, understood by models that have learned from half
-            of them.
+        grammar: cues ``[N, CUES]`` of the grammar's sentences and whether each was right ``[N]``.
+        people: the same for people's sentences, understood by models trained on half of them.
     """
     scale = np.maximum(grammar[0].std(0), 1e-3)
     scale[-1] = 1.0
@@ -101,7 +100,7 @@ def fit_confidence(
 def _regression(
     cues: np.ndarray, right: np.ndarray, start: np.ndarray, strength: float
 ) -> np.ndarray:
-    """Returns the weights ``[C]`` of greatest posterior, the prior being normal around a start."""
+    """Returns the maximum a posteriori weights ``[C]``, with a normal prior around ``start``."""
     rows, target = torch.from_numpy(cues), torch.from_numpy(right.astype(np.float64))
     prior = torch.from_numpy(start)
     weights = prior.clone().requires_grad_()

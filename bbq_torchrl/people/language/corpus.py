@@ -1,4 +1,4 @@
-"""Sentences to learn from: frames of every kind, said by the domain's grammar."""
+"""Training sentences: frames of every kind, expressed by the domain's grammar."""
 
 from __future__ import annotations
 
@@ -34,14 +34,14 @@ _Count = int | tuple[int, ...]
 
 @dataclass(frozen=True)
 class Example:
-    """A sentence with what it means.
+    """A sentence with its meaning.
 
     Attributes:
-        words: as :func:`~bbq_torchrl.people.language.words.tokenize` makes them.
+        words: the words, see :func:`~bbq_torchrl.people.language.words.tokenize`.
         tags: the slot whose value each word is part of, else :data:`OUTSIDE`.
-        frame: what is meant.
+        frame: the meaning.
         question: the agent's last act; :data:`OPENING` before its first.
-        capitals: the words that were typed with a capital as names are, see
+        capitals: the words typed with a capital, as names are; see
             :func:`~bbq_torchrl.people.language.words.capitalized`.
     """
 
@@ -71,17 +71,17 @@ def make_examples(
     noise: float = 1.0,
     simulated: bool = False,
 ) -> list[Example]:
-    """Returns sentences of the domain's own grammar.
+    """Returns sentences of the domain's grammar.
 
     Args:
         lexicon: the domain's phrases and values.
-        count: how many.
-        seed: chooses all.
-        noise: scales how often sentences are spoiled.
+        count: the number of sentences.
+        seed: the seed of all random choices.
+        noise: scales the probability that a sentence is spoiled.
         simulated: whether the acts are those of simulated users, who ask several things at once.
     """
     rng = random.Random(seed)
-    # Other dialogues than those that the round trip is measured on.
+    # Not the dialogues of the round-trip measurement.
     other = seed + 1_000_000
     turns = play(lexicon.domain, _DIALOGUES, seed=other, kept=_KEPT) if simulated else []
     frames = _Frames(lexicon)
@@ -99,7 +99,7 @@ def make_examples(
 
 
 def spoiled(examples: Sequence[Example], seed: int) -> list[Example]:
-    """Returns sentences of people spoiled as those of the grammar are, half without capitals."""
+    """Returns people's sentences, spoiled like the grammar's, half of them without capitals."""
     rng = random.Random(seed)
     found = [_spoil(example, rng, 1.0) for example in examples]
     return [
@@ -127,7 +127,7 @@ def _spoil(example: Example, rng: random.Random, noise: float) -> Example:
 
 
 def _shapes(lexicon: Lexicon, slot: str) -> tuple[list[list[str]], list[float]]:
-    """Returns the values of a slot by the shape of their keys, and how often to draw each."""
+    """Returns the values of a slot by the shape of their keys, and the weight of each shape."""
     shapes: dict[str, list[str]] = {}
     for value in lexicon.values(slot):
         key = lexicon.key(slot, value)
@@ -137,7 +137,7 @@ def _shapes(lexicon: Lexicon, slot: str) -> tuple[list[list[str]], list[float]]:
 
 
 class _Frames:
-    """Draws what agents ask and users mean."""
+    """Draws an agent's act and a user's reply."""
 
     def __init__(self, lexicon: Lexicon) -> None:
         domain = lexicon.domain
@@ -164,7 +164,7 @@ class _Frames:
         self._shapes = {slot: _shapes(lexicon, slot) for slot in lexicon.slots}
 
     def draw(self, rng: random.Random) -> tuple[Frame, Frame]:
-        """Returns the agent's last act and what the user means."""
+        """Returns the agent's last act and the user's act."""
         kind = rng.random()
         if kind < 0.32:
             return OPENING, self._opening(rng)
@@ -189,7 +189,7 @@ class _Frames:
         return Frame(act), self._after_act(act, rng)
 
     def _value(self, slot: str, rng: random.Random) -> str:
-        """Returns a value; those of few kinds ("after work") as often as clocks of many."""
+        """Returns a value; rare shapes ("after work") come up more often than their share."""
         if self._wishes.get(slot) and rng.random() < 0.35:
             return rng.choice(self._wishes[slot])
         shapes, weights = self._shapes[slot]
@@ -199,7 +199,7 @@ class _Frames:
     def _drawn(
         self, weights: Mapping[str, float], rng: random.Random, count: _Count, but: Sequence[str]
     ) -> list[str]:
-        """Returns slots drawn by their weights, one perhaps several times, but none of some."""
+        """Returns slots drawn by weight with replacement, except those in ``but``."""
         size = count if isinstance(count, int) else rng.choice(count)
         slots = [slot for slot in weights if slot not in but]
         return rng.choices(slots, [weights[slot] for slot in slots], k=size) if slots else []
@@ -214,15 +214,15 @@ class _Frames:
         values: _Count = 0,
         but: tuple[str, ...] = (),
     ) -> Frame:
-        """Returns an act with questions and values that are drawn; none of both, and none of some.
+        """Returns an act with random questions and values of different slots, none in ``but``.
 
         Args:
             act: the act.
-            rng: draws.
-            told: values that are told besides.
-            requests: how many questions, or of what to draw how many.
-            values: how many values, or of what to draw how many.
-            but: slots that are left out.
+            rng: the random number generator.
+            told: further values to inform.
+            requests: the number of questions, or a tuple to draw it from.
+            values: the number of values, or a tuple to draw it from.
+            but: the slots to leave out.
         """
         asked = tuple(dict.fromkeys(self._drawn(self._wanted, rng, requests, but)))
         slots = self._drawn(self._valued, rng, values, (*but, *asked))

@@ -1,4 +1,4 @@
-"""Denials: whether the words around a value say that it is not what is wanted."""
+"""Denials: whether the words around a value reject it."""
 
 from __future__ import annotations
 
@@ -22,15 +22,15 @@ _NO = re.compile(ENGLISH["denied_by_no"])
 
 
 def is_denied(words: Sequence[str], start: int, end: int, *, is_first: bool = True) -> bool:
-    """Returns whether the words around a name say that it is not what is wanted.
+    """Returns whether the words around a name reject it.
 
-    Behind another name of its slot, and before a number, a "no" takes back what was said.
+    After another name of its slot, and before a number, a "no" retracts what was said before.
 
     Args:
-        words: of the sentence.
+        words: the words of the sentence.
         start: the first word of the name.
         end: the word after its last.
-        is_first: whether no other name of its slot stands before it.
+        is_first: whether no other name of its slot precedes it.
     """
     before = CLAUSE.split(" ".join(words[max(start - _MAX_BEFORE, 0) : start]))[-1].strip()
     after = CLAUSE.split(" ".join(words[end : end + _MAX_AFTER]))[0].strip()

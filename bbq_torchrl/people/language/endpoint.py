@@ -1,4 +1,4 @@
-"""Understanding and speaking by a language model behind an OpenAI-compatible endpoint."""
+"""Nlu and nlg with a language model behind an OpenAI-compatible endpoint."""
 
 from __future__ import annotations
 
@@ -35,10 +35,10 @@ class Endpoint:
     """An OpenAI-compatible server.
 
     Args:
-        url: up to and with its ``/v1``.
-        model: its name there.
-        key: sent as bearer token; empty for none.
-        timeout: seconds for an answer.
+        url: the URL, up to and including ``/v1``.
+        model: the model's name on the server.
+        key: the bearer token; empty to send none.
+        timeout: the time limit for an answer, in seconds.
     """
 
     url: str
@@ -47,12 +47,12 @@ class Endpoint:
     timeout: float = 5.0
 
     def ask(self, system: str, user: Mapping[str, Any], schema: Mapping[str, Any]) -> Any:
-        """Returns the JSON that the model answers.
+        """Returns the model's JSON answer.
 
         Args:
-            system: what it is told to do.
-            user: what it is given, sent as JSON.
-            schema: of the answer.
+            system: the system prompt.
+            user: the user message, sent as JSON.
+            schema: the JSON schema of the answer.
 
         Raises:
             ConnectionError: if there is no answer in time, or one that is no JSON.
@@ -96,16 +96,16 @@ class Endpoint:
 
 
 class EndpointUnderstander:
-    """Understands by an endpoint; falls back to the local understander.
+    """Understands with an endpoint; falls back to the local understander.
 
     Args:
-        endpoint: whom to ask.
-        own: who understands where the endpoint does not answer, or answers what the domain does
-            not have.
+        endpoint: the endpoint.
+        own: the local understander, used if the endpoint does not answer, or answers outside the
+            domain.
 
     Attributes:
-        answered: how often the endpoint's answer was taken.
-        fallbacks: how often the own understander stood in, by reason: ``"no answer"`` and
+        answered: the number of the endpoint's answers used.
+        fallbacks: the number of fallbacks to the local understander, by reason: ``"no answer"`` and
             ``"invalid"``.
     """
 
@@ -116,11 +116,11 @@ class EndpointUnderstander:
         self.fallbacks = {"no answer": 0, "invalid": 0}
 
     def asks(self, understood: Understood) -> bool:
-        """Returns whether the system should ask again rather than act on it."""
+        """Returns whether the system should ask again instead of acting."""
         return self._own.asks(understood)
 
     def __call__(self, text: str, question: Frame | None = None) -> Understood:
-        """Returns the meaning of ``text``, with its confidence if the local understander agrees.
+        """Returns the meaning of ``text``, with the local understander's confidence if it agrees.
 
         Raises:
             TextError: if nothing of the text can be read, or it is too long.
@@ -152,7 +152,7 @@ class EndpointUnderstander:
         )
 
     def _checked(self, answer: Any) -> Frame | None:
-        """Returns the frame of an answer, values as the domain spells them; else ``None``."""
+        """Returns the frame of an answer in the domain's spelling; ``None`` if it is invalid."""
         lexicon, domain = self._own.lexicon, self._own.domain
         try:
             informs = {}
@@ -175,15 +175,15 @@ class EndpointUnderstander:
 
 
 class EndpointGenerator:
-    """Says an agent's acts by an endpoint; falls back to the local generator.
+    """Phrases an agent's acts with an endpoint; falls back to the local generator.
 
     Args:
-        endpoint: whom to ask.
-        own: who speaks where the endpoint does not answer, or leaves out what must be said.
+        endpoint: the endpoint.
+        own: the local generator, used if the endpoint does not answer, or leaves out a value.
 
     Attributes:
-        answered: how often the endpoint's sentence was taken.
-        fallbacks: how often the own generator stood in, by reason.
+        answered: the number of the endpoint's sentences used.
+        fallbacks: the number of fallbacks to the local generator, by reason.
     """
 
     def __init__(self, endpoint: Endpoint, own: Generator) -> None:
@@ -200,7 +200,7 @@ class EndpointGenerator:
         session: str | int = 0,
         turn: int = 0,
     ) -> str:
-        """Returns an agent's sentence; arguments as those of the local generator."""
+        """Returns an agent's sentence; the arguments are those of the local generator."""
         own = self._own.agent(frame, held, session=session, turn=turn)
         given = {"act": str(frame), "for_example": own}
         try:
@@ -212,7 +212,7 @@ class EndpointGenerator:
             text = legible(answer["text"])
         except (KeyError, TypeError, AttributeError, TextError):
             text = ""
-        # A value that the local sentence says must be said by the other as well.
+        # The endpoint's sentence must say every value that the local one says.
         said = [value for value in frame.informs.values() if value.lower() in own.lower()]
         if not text or any(value.lower() not in text.lower() for value in said):
             self.fallbacks["invalid"] += 1
@@ -225,12 +225,12 @@ class EndpointGenerator:
         return self._own.clarify(understood, session=session, turn=turn)
 
     def check(self, values: Mapping[str, str], *, session: str | int = 0, turn: int = 0) -> str:
-        """Returns the local generator's question whether some values are right."""
+        """Returns the local generator's question about whether some values are right."""
         return self._own.check(values, session=session, turn=turn)
 
 
 def _schema(**properties: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns the schema of an object with just these properties."""
+    """Returns the schema of an object with exactly these properties."""
     return {
         "type": "object",
         "properties": properties,

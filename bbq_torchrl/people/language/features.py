@@ -32,13 +32,12 @@ UNKNOWN = "<unknown>"
 
 
 class Features:
-    """Names of features, as text, for words and for whole sentences.
+    """Names of features, as text, of words and of whole sentences.
 
     Args:
-        lexicon: whose names are looked for, at every place the longest, and whose phrases' nouns
-            of slots.
-        known: the words that training sentences have; others are corrected to the nearest of
-            them by one letter, or unknown.
+        lexicon: the names to look for, the longest at each position, and the nouns of the slots.
+        known: the words of the training sentences; others are corrected to one of them by one
+            letter, or are unknown.
     """
 
     def __init__(self, lexicon: Lexicon, known: Iterable[str]) -> None:
@@ -66,7 +65,7 @@ class Features:
         self.spelled = lru_cache(maxsize=20_000)(self._spelled)
 
     def _spelled(self, word: str) -> str:
-        """Returns the word, or a known one that is a letter away, or :data:`UNKNOWN`."""
+        """Returns the word, a known word at edit distance 1, or :data:`UNKNOWN`."""
         word = word.replace("'", "") or word
         if word in self._all or not word.isalpha():
             return word
@@ -90,13 +89,13 @@ class Features:
     def of_words(
         self, words: Sequence[str], question: Frame, capitals: frozenset[str] = frozenset()
     ) -> list[list[str]]:
-        """Returns the features of each word; ``capitals`` are those typed as names are."""
+        """Returns the features of each word; ``capitals`` are those typed with a capital."""
         spelled = [self.spelled(word) for word in words]
         classes = [_class(word) for word in spelled]
         found = self._windows(spelled)
         self._quantities(words, found)
         asked = _question(question)
-        # A capital tells nothing of known names, so that these are found without it as well.
+        # Capitals of known names are ignored, so that these are also found in lower case.
         is_new = [word in capitals and not names for word, names in zip(words, found, strict=True)]
         own = []
         for at, (word, kind) in enumerate(zip(spelled, classes, strict=True)):
@@ -131,7 +130,7 @@ class Features:
         return rows
 
     def _quantities(self, words: Sequence[str], found: list[list[str]]) -> None:
-        """Adds for each word of which kinds it begins, or continues, a quantity."""
+        """Adds to ``found``, for each word, the kinds of quantity it begins or continues."""
         for kind in QUANTITIES:
             end = 0
             for start, word in enumerate(words):
@@ -139,7 +138,7 @@ class Features:
                 if start < end or not can_start:
                     continue
                 for stop in range(min(start + _LONGEST_QUANTITY, len(words)), start, -1):
-                    # "night at 7" has begun a word before: "friday night at 7".
+                    # "night at 7" began one word earlier: "friday night at 7".
                     is_part = kind == "time" and stop > start + 1 and word in PART_WORDS
                     if is_part or words[stop - 1] in _ENDS:
                         continue
@@ -150,7 +149,7 @@ class Features:
                         break
 
     def _windows(self, words: Sequence[str]) -> list[list[str]]:
-        """Returns for each word of which slots it begins, or continues, a name."""
+        """Returns, for each word, the slots of which it begins or continues a name."""
         found: list[list[str]] = [[] for _ in words]
         for slot, by_first in self._names.items():
             if by_first.keys().isdisjoint(words):
@@ -168,7 +167,7 @@ class Features:
         return found
 
     def of_sentence(self, words: Sequence[str], tags: Sequence[str], question: Frame) -> list[str]:
-        """Returns the features of the whole sentence, values written as their slots."""
+        """Returns the features of the whole sentence, with values replaced by their slots."""
         line: list[str] = []
         asked = _question(question)
         told = question.informs
@@ -208,14 +207,14 @@ class Features:
 
 
 def _runs(words: Sequence[str], size: int) -> list[str]:
-    """Returns every so many words in a row, joined."""
+    """Returns the n-grams of ``size`` words, joined."""
     return ["_".join(words[at : at + size]) for at in range(len(words) - size + 1)]
 
 
 @lru_cache(maxsize=100_000)
 def _is_read(kind: Kind, text: str) -> bool:
     if kind == "count" and not all(w in COUNT_WORDS or w[0].isdigit() for w in text.split()):
-        return False  # Any one number in it makes words a count.
+        return False  # The reader accepts any words with one number.
     return READERS[kind](text) is not None
 
 
@@ -225,7 +224,7 @@ def _question(question: Frame) -> list[str]:
 
 
 def _class(word: str) -> str:
-    """Returns the sort of a word: a number, a day, a clock, ..."""
+    """Returns the class of a word: a number, a day, a clock, ..."""
     if word == UNKNOWN:
         return "unknown"
     if word.isdecimal():

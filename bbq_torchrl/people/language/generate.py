@@ -1,4 +1,4 @@
-"""Sentences of both sides, from acts; equal sessions say equal things."""
+"""Sentences of users and agents from acts; equal sessions give equal sentences."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _MAX_IN_CONFLICT = 4
 _MAX_CHOICES = 5
 _NO_WISH = (ANY, NO_MATCH_TEXT, AVAILABLE_TEXT)
 
-# Values that bring their preposition: "it starts after 10pm", "it is tomorrow".
+# Values that include their preposition: "it starts after 10pm", "it is tomorrow".
 _PREPOSITION = re.compile(
     r"\b(at|on) (?=(after|around|as|before|by|in|next|this|today|tomorrow|tonight)\b)"
 )
@@ -39,11 +39,11 @@ _PROPER = re.compile(rf"\b({'|'.join(word_set('proper'))}|new year(?='s)|(may|ma
 
 
 def capitalized(value: str, capitals: frozenset[str]) -> str:
-    """Returns a name as titles are written.
+    """Returns a name in title case.
 
     Args:
         value: the name in lower case.
-        capitals: the words that are written in capitals.
+        capitals: the words to write in capitals.
 
     Examples:
         >>> capitalized("spider-man: across the spider-verse", frozenset())
@@ -64,24 +64,24 @@ def capitalized(value: str, capitals: frozenset[str]) -> str:
 
 
 def chance(session: str | int, turn: int, side: str) -> random.Random:
-    """Returns the generator of one turn's words, seeded by session, turn and side."""
+    """Returns the random generator of one turn's words, seeded by session, turn and side."""
     digest = hashlib.blake2b(f"{session}/{turn}/{side}".encode(), digest_size=8).digest()
     return random.Random(int.from_bytes(digest, "big"))
 
 
 def sentence(pieces: Sequence[Piece]) -> str:
-    """Returns pieces as a sentence that starts large and ends in a mark."""
+    """Returns pieces as a sentence with an initial capital and a final mark."""
     text = plain(pieces)
     text = text[:1].upper() + text[1:]
     return text if text[-1:] in ".?!" else f"{text}."
 
 
 class Generator:
-    """Turns acts into sentences, by the phrases of a domain.
+    """Turns acts into sentences, with the phrases of a domain.
 
     Args:
-        domain: what is spoken of, with its ``language.yaml`` in its folder; of none, by the
-            generic phrases.
+        domain: the domain, with its ``language.yaml`` in its folder; otherwise with the generic
+            phrases.
 
     Examples:
         >>> from bbq_torchrl.domains import movie_domain
@@ -106,8 +106,8 @@ class Generator:
         Args:
             frame: the user's act.
             question: the agent's last act; ``None`` at the opening.
-            session: with ``turn`` chooses the words.
-            turn: counts the turns of the session.
+            session: determines the words, with ``turn``.
+            turn: the number of the turn in the session.
         """
         rng = chance(session, turn, "user")
         pieces = self._composer.compose(frame, question, rng, _as_spelled, is_clear=True)
@@ -125,11 +125,11 @@ class Generator:
         """Returns the sentence of an agent.
 
         Args:
-            frame: the agent's act, its values filled in.
-            held: the values that the tracker holds; where nothing matches, the answer names those
-                that do not go together. Values in ``frame`` count as held.
-            session: with ``turn`` chooses the words.
-            turn: counts the turns of the session.
+            frame: the agent's act, with its values filled in.
+            held: the tracker's values; if no record matches, the answer names those in conflict.
+                Values in ``frame`` count as well.
+            session: determines the words, with ``turn``.
+            turn: the number of the turn in the session.
         """
         rng = chance(session, turn, "agent")
         told = {slot: value for slot, value in frame.informs.items() if value != ANY}
@@ -156,9 +156,9 @@ class Generator:
 
         Args:
             understood: the result of the nlu. The question is about its first unclear name;
-                without one it asks for other words.
-            session: with ``turn`` chooses the words.
-            turn: counts the turns of the session.
+                without one it asks the user to rephrase.
+            session: determines the words, with ``turn``.
+            turn: the number of the turn in the session.
         """
         rng = chance(session, turn, "agent")
         if not understood.unclear:
@@ -171,12 +171,12 @@ class Generator:
         return sentence(self._fill(self._phrases.agent[use], rng, unclear.slot, words))
 
     def check(self, values: Mapping[str, str], *, session: str | int = 0, turn: int = 0) -> str:
-        """Returns an agent's question whether some values are right.
+        """Returns an agent's question about whether some values are right.
 
         Args:
             values: slot to value.
-            session: with ``turn`` chooses the words.
-            turn: counts the turns of the session.
+            session: determines the words, with ``turn``.
+            turn: the number of the turn in the session.
         """
         rng = chance(session, turn, "agent")
         said = {"<wishes>": self._wishes(values, rng)}
@@ -193,7 +193,7 @@ class Generator:
         phrases = self._phrases.slots[slot].phrases
         if value == NO_MATCH_TEXT:
             clash = self.conflict(wishes)
-            if not clash:  # the records that match do not say
+            if not clash:  # the matching records do not say
                 return self._fill(self._phrases.agent["no_record"], rng, slot)
             said = {"<wishes>": self._wishes({name: wishes[name] for name in clash}, rng)}
             conflict = self._fill(self._phrases.agent["conflict"], rng, None, said)
@@ -202,10 +202,10 @@ class Generator:
         return self._fill(phrases["tell"], rng, slot, said)
 
     def conflict(self, wishes: Mapping[str, str]) -> tuple[str, ...]:
-        """Returns the fewest slots whose values no record has together; none if one has them all.
+        """Returns the fewest slots whose values no record combines; empty if one has them all.
 
         Args:
-            wishes: slot to value; slots that never constrain the records are left out.
+            wishes: slot to value; slots that never constrain the records are ignored.
         """
         ignored = (*self._domain.free_slots, *self._domain.special_slots)
         wanted = {
@@ -255,7 +255,7 @@ class Generator:
 
 
 def _polished(text: str) -> str:
-    """Returns a sentence with "1 ticket", "tomorrow" for "on tomorrow", and "Monday"."""
+    """Returns a sentence with "1 ticket", "tomorrow" instead of "on tomorrow", and "Monday"."""
     text = _PROPER.sub(lambda found: found[0].title(), _PREPOSITION.sub("", text))
     return _ONE.sub(lambda found: f"{found[1]} {_SINGULAR[found[2]]}", text)
 

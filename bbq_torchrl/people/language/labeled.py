@@ -1,6 +1,6 @@
-"""Sentences to learn from: labeled lines, and what the domain cannot mean.
+"""Training sentences: labeled lines, and out-of-domain sentences.
 
-A labeled line is ``agent's last act | sentence | what it means``.
+A labeled line is ``agent's last act | sentence | meaning``.
 """
 
 from __future__ import annotations
@@ -35,21 +35,21 @@ if TYPE_CHECKING:
 
 _TRIES = 10
 _LONGEST_WORD = 9  # letters of a made-up word
-_LIKE = 0.75  # a name that fits a value as well is a slip of it
+_LIKE = 0.75  # a name that fits a value this well is a misspelling of it
 _FOREIGN = [parse(text) for text in ENGLISH["foreign"]]
 
 
 def make_foreign(
     lexicon: Lexicon, others: Sequence[Example], count: int, seed: int, part: slice = slice(None)
 ) -> list[Example]:
-    """Returns sentences that the domain cannot mean.
+    """Returns out-of-domain sentences.
 
     Args:
         lexicon: the domain's phrases and values.
-        others: sentences, of whose questions half of these are answers.
-        count: how many.
-        seed: chooses all.
-        part: of the phrases, those to use.
+        others: sentences whose questions half of the result answers.
+        count: the number of sentences.
+        seed: the seed of all random choices.
+        part: the slice of the phrases to use.
     """
     rng = random.Random(seed)
     surfaces = Surfaces(lexicon)
@@ -67,10 +67,10 @@ def make_foreign(
 
 
 class Names:
-    """Makes up names: in the shape of a value, of its other words, ordinary and invented ones.
+    """Makes up names shaped like a value, from words of values, ordinary and invented words.
 
     Args:
-        lexicon: the values, and what names they have.
+        lexicon: the values and their names.
     """
 
     def __init__(self, lexicon: Lexicon) -> None:
@@ -91,7 +91,7 @@ class Names:
         self._ordinary = [word for text in texts for word in tokenize(text) if len(word) > 3]
 
     def made_up(self, slot: str, rng: random.Random) -> list[str]:
-        """Returns the words of a name that no value has; none where that fails, or of numbers."""
+        """Returns the words of a name that no value has; empty if that fails, or for numbers."""
         if slot not in self._values:
             return []
         for _ in range(_TRIES):
@@ -119,13 +119,13 @@ class Names:
 
 
 LEARNED_FILE = "learned.txt"
-"""Labeled lines in a domain's folder, as people type them: learned with the grammar's."""
+"""Labeled lines in a domain's folder, as people type them, learned along with the grammar's."""
 
 DRILLED_FILE = "drilled.txt"
-"""Labeled lines written for what is hard: learned, but no measure of how sure to be."""
+"""Labeled lines written for hard cases: learned, but not used for the confidence."""
 
 _UNKNOWN = "?"
-"""Begins the label of a name that the domain does not have: ``city=?toledo``."""
+"""The prefix of a name that the domain does not have: ``city=?toledo``."""
 
 _LONGEST = 10  # words of a name
 _MADE_UP = 0.4
@@ -136,8 +136,8 @@ class Line(NamedTuple):
 
     Attributes:
         question: the agent's last act; ``None`` at the opening.
-        text: what the user says.
-        frame: what it means.
+        text: the user's sentence.
+        frame: its meaning.
     """
 
     question: Frame | None
@@ -146,11 +146,11 @@ class Line(NamedTuple):
 
 
 def read_lines(path: str | Path, domain: Domain) -> list[Line]:
-    """Returns the labeled lines of a file; empty ones and those after ``#`` are left out.
+    """Returns the labeled lines of a file, without empty lines and those that begin with ``#``.
 
     Args:
         path: a UTF-8 text file.
-        domain: whose acts and slots the labels may name.
+        domain: the domain whose acts and slots the labels may name.
 
     Raises:
         FileNotFoundError: if there is no such file.
@@ -182,22 +182,22 @@ def read_lines(path: str | Path, domain: Domain) -> list[Line]:
 
 
 def lines_of(domain: Domain, name: str) -> list[Line]:
-    """Returns the labeled lines of a file in a domain's folder, none where it has no such file."""
+    """Returns the labeled lines of a file in a domain's folder; empty without such a file."""
     path = None if domain.folder is None else domain.folder / name
     return read_lines(path, domain) if path is not None and path.is_file() else []
 
 
 def without_unknown(frame: Frame) -> Frame:
-    """Returns a labeled frame as it is understood: names that are not known are reported apart."""
+    """Returns a labeled frame without unknown names, which the nlu reports separately."""
     informs = {slot: v for slot, v in frame.informs.items() if not v.startswith(_UNKNOWN)}
     return replace(frame, informs=informs)
 
 
 def as_examples(lines: Sequence[Line], lexicon: Lexicon) -> list[Example]:
-    """Returns labeled lines as sentences to learn from.
+    """Returns labeled lines as training sentences.
 
-    Where each value stands is found by what its words are read as. A line in which a value is not
-    found still teaches acts and questions by the rest of its words.
+    Each value is located at the words that are read as it. A line in which a value is not found
+    still teaches acts and questions with its other words.
     """
     examples = []
     for question, text, frame in lines:
@@ -219,7 +219,7 @@ def as_examples(lines: Sequence[Line], lexicon: Lexicon) -> list[Example]:
 
 
 def _said(words: list[str], name: list[str]) -> range | None:
-    """Returns where some words stand in others."""
+    """Returns the position of a name in the words."""
     starts = range(len(words) - len(name) + 1)
     found = (at for at in starts if words[at : at + len(name)] == name)
     return next((range(at, at + len(name)) for at in found), None)
@@ -228,7 +228,7 @@ def _said(words: list[str], name: list[str]) -> range | None:
 def _place(
     words: list[str], tags: list[str], slot: str, value: str, lexicon: Lexicon
 ) -> range | None:
-    """Returns the words that name the value best: a name in full, else of equal ones the fewest."""
+    """Returns the words that name the value best: a full name, else the shortest best fit."""
     key = lexicon.key(slot, value)
     can_edge = [compact(word) != "" for word in words]
     places = [
@@ -253,7 +253,7 @@ def _place(
 
 
 def _means(slot: str, words: list[str], key: str, lexicon: Lexicon) -> float:
-    """Returns how well words name the value of a key, 0 where they name another or several."""
+    """Returns how well words name the value of a key, 0 if they name another or several."""
     link = lexicon.link(slot, " ".join(words))
     is_meant = [lexicon.key(slot, value) for value in link.values] == [key]
     return link.score if is_meant else 0.0
@@ -262,16 +262,16 @@ def _means(slot: str, words: list[str], key: str, lexicon: Lexicon) -> float:
 def varied(
     examples: Sequence[Example], lexicon: Lexicon, surfaces: Surfaces, copies: int, seed: int
 ) -> list[Example]:
-    """Returns sentences as they are, and copies of each that say other values in its words.
+    """Returns the sentences, and copies of each with other values.
 
-    Of the names in the copies some are made up: a name that is not known is found by its context.
+    Some names in the copies are made up, so that the context is what reveals an unknown name.
 
     Args:
         examples: the sentences.
         lexicon: the values.
-        surfaces: how values are written.
-        copies: how many of each.
-        seed: chooses the values.
+        surfaces: the ways to write values.
+        copies: the number of copies of each sentence.
+        seed: the seed of the values.
     """
     rng = random.Random(seed)
     names = Names(lexicon)

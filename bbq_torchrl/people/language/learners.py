@@ -1,4 +1,4 @@
-"""Learners of language: the tagger of slots, and the net of acts, questions and don't-cares.
+"""Learned models: the tagger of slots, and the net of acts, questions and don't-cares.
 
 The tagger is a linear-chain conditional random field (python-crfsuite).
 """
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 
 OUTSIDE = "-"
-"""The tag of a word that is part of no value."""
+"""The tag of a word that is not part of a value."""
 
 _SURE = 0.6
 
@@ -32,7 +32,7 @@ class Span(NamedTuple):
     """Words that name a value.
 
     Attributes:
-        slot: of which slot.
+        slot: the slot of the value.
         start: the first word.
         end: the word after the last.
     """
@@ -46,7 +46,7 @@ class Tagger:
     """Tags words by their features.
 
     Args:
-        model: the field as crfsuite writes it.
+        model: the random field in crfsuite's format.
     """
 
     def __init__(self, model: bytes) -> None:
@@ -66,9 +66,9 @@ class Tagger:
 
         Args:
             rows: the features of each word of each sentence.
-            tags: the tags of the same.
-            steps: of L-BFGS, at most.
-            tick: called after each.
+            tags: the tag of each word of each sentence.
+            steps: the maximum number of steps of L-BFGS.
+            tick: called after each step.
         """
         trainer = needed("python-crfsuite", "pycrfsuite").Trainer()
         trainer.message = lambda text: tick() if "Iteration #" in text else None
@@ -86,9 +86,9 @@ class Tagger:
         """Returns the best tags of a sentence, their probability, and that of each tag.
 
         Args:
-            rows: the features of each word, of one word or more.
-            is_unknown: of each word, whether it is unknown: it is part of a name unless that is
-                unlikely.
+            rows: the features of each word, at least one.
+            is_unknown: whether each word is unknown. An unknown word is part of a name unless that
+                is unlikely.
         """
         tags = self._tagger.tag(rows)
         for at in (at for at, tag in enumerate(tags) if tag == OUTSIDE and is_unknown[at]):
@@ -119,16 +119,16 @@ _BATCH = 512
 _RATE = 0.012
 _LEFT_OUT = 0.4
 EPOCHS = 10
-_MAX_FEATURES = 16_000  # features that are kept, those that most sentences have
+_MAX_FEATURES = 16_000  # keeps the features that the most sentences have
 
 
 class IntentNet(nn.Module):
     """A bag of features, one hidden layer, three heads.
 
     Args:
-        features: the features that are known; others are left out.
+        features: the known features; others are ignored.
         acts: the acts.
-        slots: the slots; each head over slots has one more place, for the slot asked for last.
+        slots: the slots; each head over slots has one more output, for the slot asked for last.
     """
 
     def __init__(self, features: Sequence[str], acts: Sequence[str], slots: Sequence[str]) -> None:
@@ -140,13 +140,13 @@ class IntentNet(nn.Module):
         nn.init.normal_(self.bag.weight, std=0.05)
 
     def encode(self, sentences: Iterable[Iterable[str]]) -> tuple[torch.Tensor, torch.Tensor]:
-        """Returns the ids of the features of sentences.
+        """Returns the feature ids of sentences.
 
         Args:
-            sentences: the names of the features of each.
+            sentences: the feature names of each sentence.
 
         Returns:
-            The ids of one sentence after another, long, and how many each has, long ``[B]``.
+            The ids of all sentences, concatenated, long, and their number in each, long ``[B]``.
         """
         index = self._index
         bags = [sorted({index[name] for name in names if name in index}) for names in sentences]
@@ -157,8 +157,8 @@ class IntentNet(nn.Module):
         """Returns the logits of acts ``[B, A]``, requests and don't-cares ``[B, S + 1]``.
 
         Args:
-            flat: the features of sentences, see :meth:`encode`.
-            sizes: how many of them each sentence has.
+            flat: the feature ids of sentences, see :meth:`encode`.
+            sizes: the number of ids of each sentence.
         """
         starts = sizes.cumsum(0) - sizes
         hidden = self.bag(flat, starts) / sizes.clamp(min=1).sqrt()[:, None]
@@ -175,7 +175,7 @@ class IntentNet(nn.Module):
         return arrays | {"bag": arrays["bag"].astype(np.float16)}
 
     def load(self, arrays: Mapping[str, np.ndarray]) -> None:
-        """Takes the weights that :meth:`arrays` gave.
+        """Loads the weights that :meth:`arrays` returned.
 
         Raises:
             ValueError: if they are of another shape, or not finite.
@@ -204,12 +204,12 @@ def train_intents(
     """Returns a net fitted to sentences.
 
     Args:
-        sentences: the features of each.
-        acts: the act of each.
+        sentences: the features of each sentence.
+        acts: the act of each sentence.
         requests: float ``[N, S + 1]``.
         dont_care: float ``[N, S + 1]``.
         names: the acts and the slots.
-        seed: draws the first weights, the order and the features left out.
+        seed: the seed of the initial weights, the order and the dropped features.
         tick: called after each epoch.
     """
     count = Counter(chain.from_iterable(map(set, sentences)))

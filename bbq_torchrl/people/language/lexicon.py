@@ -1,4 +1,4 @@
-"""The language of a domain: its phrases, its values, and what people call them."""
+"""The language of a domain: its phrases, its values, and people's names for them."""
 
 from __future__ import annotations
 
@@ -30,8 +30,8 @@ class Link:
     """The values that a name may mean.
 
     Args:
-        values: one value; several that fit equally well; none for an unknown name.
-        score: how well the first fits, from 0 to 1.
+        values: one value, or several that fit equally well; empty for an unknown name.
+        score: the fit of the first value, from 0 to 1.
     """
 
     values: tuple[str, ...]
@@ -47,11 +47,11 @@ class Lexicon:
     """A domain's values by slot, with one canonical key for all spellings of a value.
 
     Args:
-        domain: whose values; its phrases have other names of them, and the kinds of slots.
+        domain: the domain; its phrases have other names for its values, and the kinds of slots.
 
     Attributes:
-        domain: the same.
-        phrases: of the domain, see :func:`~bbq_torchrl.people.language.phrases.load_phrases`.
+        domain: the domain.
+        phrases: its phrases, see :func:`~bbq_torchrl.people.language.phrases.load_phrases`.
         kinds: the kind of quantity of each slot's values.
         keys: by slot, the canonical key of every name of its values.
 
@@ -106,7 +106,7 @@ class Lexicon:
 
     @cached_property
     def counted(self) -> str | None:
-        """The slot of a count that most records and goals have."""
+        """The slot of a count that the most records and goals have."""
         count = Counter(slot for slot, _ in self._frequency.elements())
         slots = [slot for slot, kind in self.kinds.items() if kind == "count"]
         return max(slots, key=lambda slot: count[slot], default=None)
@@ -125,7 +125,7 @@ class Lexicon:
         return keys
 
     def key(self, slot: str, value: str) -> str:
-        """Returns the canonical key of a value: equal for all its spellings."""
+        """Returns the canonical key of a value, the same for all its spellings."""
         kind = self.kinds.get(slot, "text")
         if kind != "text" and (read := READERS[kind](value)) is not None:
             return read.rstrip("?")
@@ -134,7 +134,7 @@ class Lexicon:
 
     @cached_property
     def owners(self) -> dict[str, str]:
-        """For values, in letters and digits, that several slots have: the slot that has it most."""
+        """For each value (letters and digits) of several slots, the slot that has it most often."""
         holders: dict[str, Counter[str]] = defaultdict(Counter)
         for slot, values in self._values.items():
             for value in values:
@@ -147,16 +147,16 @@ class Lexicon:
 
     @cached_property
     def names(self) -> dict[str, set[tuple[str, ...]]]:
-        """All names of each slot's values, in words."""
+        """All names of each slot's values, split into words."""
         return {slot: {tuple(tokenize(text)) for text in keys} for slot, keys in self.keys.items()}
 
     def spelling(self, slot: str, key: str) -> str:
-        """Returns the spelling of a key that most records have."""
+        """Returns the most frequent spelling of a key."""
         spellings = self._by_key[slot][key]
         return max(spellings, key=lambda value: self._frequency[slot, fold(value)])
 
     def respell(self, slot: str, value: str) -> str:
-        """Returns the spelling of a value that most records have; an unknown value as it is."""
+        """Returns the most frequent spelling of a value; an unknown value is unchanged."""
         key = self.key(slot, value)
         return self.spelling(slot, key) if key in self._by_key.get(slot, {}) else value
 
@@ -177,11 +177,11 @@ class Lexicon:
                 return Link((), 0.0)
         article, _, rest = fold(text).partition(" ")
         if article == "the" and compact(rest) in self._names[slot]:
-            return self.link(slot, rest)  # "the matinee" is no more like "the first matinee"
+            return self.link(slot, rest)  # "the matinee" must not match "the first matinee"
         return self._nearest(slot, text)
 
     def only_slot(self, text: str) -> str | None:
-        """Returns the slot that alone has a value of just this name."""
+        """Returns the only slot that has a value of exactly this name, else ``None``."""
         name = compact(text)
         slots = [slot for slot, names in self._names.items() if name in names]
         return slots[0] if len(slots) == 1 else None
@@ -211,7 +211,7 @@ class Lexicon:
         return None
 
     def _nearest(self, slot: str, text: str) -> Link:
-        """Returns the names that share most of what is telling, typos allowed for."""
+        """Returns the values whose names share the most informative words, allowing for typos."""
         scored = self._near_names(slot).scores(text)
         ranked = sorted(scored.items(), key=lambda item: -item[1])
         if not ranked or ranked[0][1] < _LEAST:
@@ -222,13 +222,13 @@ class Lexicon:
 
 
 class _Names:
-    """The names of one slot's values, ready to be compared with what somebody typed."""
+    """The names of one slot's values, prepared for comparison with typed text."""
 
     def __init__(self, lexicon: Lexicon, slot: str) -> None:
         names = lexicon.keys[slot]
         self._keys = list(names.values())
         self._joined = [compact(name) for name in names]
-        # No sets: sums and ties would follow the order of their hashes, another in every process.
+        # No sets: sums and ties would depend on the hash order, which differs between processes.
         self._words = [dict.fromkeys(_important_words(name)) for name in names]
         count = Counter(word for words in self._words for word in words)
         total = 1 + len(self._words)
@@ -244,7 +244,7 @@ class _Names:
         self._named = [sum(self._weight[word] for word in words) for words in self._words]
 
     def scores(self, text: str) -> dict[str, float]:
-        """Returns how well each key fits, from 0 to 1; those that fit badly are left out."""
+        """Returns the fit of each key, from 0 to 1, without poor fits."""
         process, similarity = _rapidfuzz()
         joined = compact(text)
         scored: dict[str, float] = {}
@@ -279,7 +279,7 @@ class _Names:
         return scored
 
     def _likeness(self, word: str) -> dict[str, float]:
-        """Returns the words of names that ``word`` may be, and how likely."""
+        """Returns the words of names that ``word`` may stand for, and how similar they are."""
         if word in self._weight:
             return {word: 1.0}
         if len(word) <= 3 or word.isdecimal():

@@ -1,4 +1,4 @@
-"""Measures how well the language layer understands and speaks."""
+"""Measurements of how well the language layer understands and speaks."""
 
 from __future__ import annotations
 
@@ -25,10 +25,10 @@ if TYPE_CHECKING:
 
 VOICES = ("terse", "chatty", "nonnative")
 LATER = ("second_held_out", "third_held_out")
-"""Files of sentences that were written when phrases and features were there."""
+"""Files of sentences written after the phrases and features."""
 
 SUREST = 0.8
-"""The share of sentences that are to be answered."""
+"""The share of sentences to answer."""
 
 _TYPOS = 0.1
 _DRAWS = 5
@@ -41,15 +41,15 @@ def score(
 ) -> dict[str, float]:
     """Returns how well labeled lines are understood, by the names in ``results/``.
 
-    ``frame`` and ``act`` are the shares that are exactly right; ``slot_f1`` is the F1 of pairs of
-    slot and value, where "does not matter" counts as a value; ``answered`` is the share that is
-    not asked again. ``right_of_answered`` and ``right_of_surest`` are the shares of right frames
-    among these and among the surest sentences.
+    ``frame`` and ``act`` are the shares that are exactly right. ``slot_f1`` is the F1 of pairs of
+    slot and value, where "does not matter" counts as a value. ``answered`` is the share that the
+    system does not ask about again. ``right_of_answered`` and ``right_of_surest`` are the shares of
+    right frames among these and among the surest sentences.
 
     Args:
-        understand: who understands.
-        lines: the sentences with what they mean.
-        change: what is done to a sentence before.
+        understand: the understander.
+        lines: the sentences with their meanings.
+        change: a change made to each sentence first.
     """
     right, acts, confidences, answered = [], [], [], []
     shared = pairs = 0
@@ -89,7 +89,7 @@ def calibration_error(confidences: Sequence[float], right: Sequence[bool]) -> fl
 
 
 def calibration_floor(confidences: Sequence[float]) -> float:
-    """Returns the mean calibration error by chance alone, if each confidence were true."""
+    """Returns the mean calibration error by chance alone, if every confidence is correct."""
     rng = random.Random(0)
     return fmean(
         calibration_error(confidences, [rng.random() < c for c in confidences])
@@ -98,10 +98,10 @@ def calibration_floor(confidences: Sequence[float]) -> float:
 
 
 def measure_lines(understand: Understander, data: Path) -> dict[str, Any]:
-    """Returns the figures of the labeled sentences in a folder.
+    """Returns the figures for the labeled sentences in a folder.
 
     Args:
-        understand: who understands.
+        understand: the understander.
         data: the folder.
     """
     by_voice = {voice: read_lines(data / f"{voice}.txt", understand.domain) for voice in VOICES}
@@ -137,11 +137,11 @@ def measure_lines(understand: Understander, data: Path) -> dict[str, Any]:
 
 
 def labeled_files(data: Path | None, domain: Domain) -> dict[str, list[Line]]:
-    """Returns the labeled lines of the text files in a folder, by the name of the file.
+    """Returns the labeled lines of the text files in a folder, by file name.
 
     Args:
-        data: the folder; ``None`` where there are no labeled sentences.
-        domain: whose acts and slots the labels may name.
+        data: the folder; ``None`` without labeled sentences.
+        domain: the domain whose acts and slots the labels may name.
 
     Raises:
         ValueError: if the folder has no text files, or one is written in another way.
@@ -159,15 +159,15 @@ def labeled_files(data: Path | None, domain: Domain) -> dict[str, list[Line]]:
 def measure_own(
     understand: Understander, files: Mapping[str, Sequence[Line]], seed: int
 ) -> dict[str, Any]:
-    """Returns the figures of a user's domain.
+    """Returns the figures for a user's domain.
 
-    They are those of sentences of its grammar that nothing was learned from, and of each file of
-    labeled sentences, by its name.
+    They are for unseen sentences of its grammar, and for each file of labeled sentences, by its
+    name.
 
     Args:
-        understand: who understands.
+        understand: the understander.
         files: see :func:`labeled_files`.
-        seed: of the learning; the sentences are those of another.
+        seed: the seed of training; the sentences use another.
     """
     made = make_examples(understand.lexicon, _MADE, seed + 2)
     lines = [Line(one.question, " ".join(one.words), one.frame) for one in made]
@@ -179,12 +179,12 @@ def measure_own(
 def measure_round_trip(
     understand: Understander, generator: Generator, turns: Sequence[tuple[Frame | None, Frame]]
 ) -> dict[str, float]:
-    """Returns the share of frames that come back from the grammar's own sentences.
+    """Returns the shares of frames recovered from the grammar's sentences.
 
     Args:
-        understand: who understands.
-        generator: who speaks.
-        turns: the agent's last act and what the user means.
+        understand: the understander.
+        generator: the generator.
+        turns: the agent's last act and the user's act.
     """
     lines = [
         Line(question, generator.user(frame, question, session=number), frame)

@@ -1,4 +1,4 @@
-"""The values that a sentence names: linked to the domain's, of several the one that is meant."""
+"""The values that a sentence names, linked to the domain's values and disambiguated."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.language.lexicon import Lexicon, Link
     from bbq_torchrl.people.language.model import Reading
 
-_FAIR = 0.85  # how well words must fit a name to be taken for it
+_FAIR = 0.85  # the least fit at which words count as a name
 
 LONGEST = 8
-"""The most words of a name that is looked for."""
+"""The maximum number of words of a name."""
 
 SHORT = 4
-"""The most words of an answer that may be no more than a name."""
+"""The maximum number of words of an answer that may be just a name."""
 
 _CORRECTS = word_set("corrects")
 _CONCLUDES = word_set("concludes")
@@ -49,13 +49,13 @@ _QUANTITY_WORDS = DAY_WORDS | MONTH_WORDS | NUMBER_WORDS | ORDINAL_WORDS | PART_
 _PLACES = frozenset("in within around at near".split())
 _LIKELY = 0.85
 _LEAST = 0.4
-_MAYBE = 0.95  # how likely a known name must be none to be passed over
+_MAYBE = 0.95  # a known name is ignored only if the tagger is this sure
 _FAINT = 0.3
 _LETTERS = 4
 
 
 class _Part(NamedTuple):
-    """Words of a sentence from a start to an end, and the values that they fit."""
+    """A range of words of a sentence, and the values that they fit."""
 
     start: int
     end: int
@@ -64,7 +64,7 @@ class _Part(NamedTuple):
 
 
 class _Mention(NamedTuple):
-    """Words that name a value of a slot, and what they were found to mean."""
+    """Words that name a value of a slot, and the values that they link to."""
 
     text: str
     link: Link
@@ -74,11 +74,11 @@ class _Mention(NamedTuple):
 def values_of(
     words: Sequence[str], reading: Reading, question: Frame, lexicon: Lexicon
 ) -> tuple[dict[str, str], tuple[Unclear, ...]]:
-    """Returns slot to value, and what is unclear.
+    """Returns the values by slot, and the unclear words.
 
     Args:
-        words: of the sentence.
-        reading: what the learned parts say.
+        words: the words of the sentence.
+        reading: the output of the learned parts.
         question: the agent's last act.
         lexicon: the domain's values.
     """
@@ -122,17 +122,17 @@ def values_of(
         if not link.values and not is_range:
             parts = _within(slot, words, start, end, lexicon)
         if not link.values and lexicon.kinds[slot] != "text" and not _is_quantity(words[start:end]):
-            continue  # No number, day or clock in it: a word that only stood where one could.
+            continue  # No number, day or clock in it: just a word in the place of one.
         if lexicon.kinds[slot] == "text" and link.score < 1.0:
             inside = _within(slot, words, start, end, lexicon)
             if exact := [part for part in inside if part.link.score == 1.0]:
                 parts = exact  # "one drama"
             elif not link.values:
-                parts = [_Part(start, end, text, link)]  # "groundhog day" is no "day one"
+                parts = [_Part(start, end, text, link)]  # "groundhog day" is not "day one"
             elif slot != asked and min(reading.each_chance[start:end]) < (
                 _LIKELY if end - start == 1 or link.score < _FAIR else _LEAST
             ):
-                continue  # Words that are no more than like a name are often none.
+                continue  # Words that only resemble a name are often not one.
         if slot in first and not _CONCLUDES.isdisjoint(words[first[slot] : start]):
             concluded.add(slot)
         elif (
@@ -161,14 +161,14 @@ def values_of(
             continue
         known = [mention for mention in known if not mention.is_denied]
         if any(mention.link.is_exact for mention in known):
-            # Beside a name in full, words that are no more than like one are none.
+            # Next to a full name, words that only resemble one are ignored.
             known = [mention for mention in known if mention.link.score == 1.0]
         if not known:
             unclear.append(Unclear(slot, mentions[-1].text))
             continue
         keys = {lexicon.key(slot, value): value for one in known for value in one.link.values}
         if len(keys) > 1 and slot in question.informs:
-            # "Tulsa? I live in Tucson": what the agent has said is repeated to be denied.
+            # "Tulsa? I live in Tucson": the agent's value is repeated only to deny it.
             keys.pop(lexicon.key(slot, question.informs[slot]), None)
         if len(keys) == 1:
             (informs[slot],) = keys.values()
@@ -180,10 +180,10 @@ def values_of(
 def _missed(
     words: Sequence[str], reading: Reading, asked: str | None, lexicon: Lexicon
 ) -> list[Span]:
-    """Returns the full names that the tagger passed over, but should not.
+    """Returns the full names that the tagger missed.
 
-    They are denied, or of a slot of which it found nothing that is wanted. A polite word is a name
-    only where it is denied and the slot asked for, or behind a noun of it ("critics call it good").
+    They are denied, or of a slot for which it found no wanted value. A polite word is a name only
+    if it is denied and its slot was asked for, or after a noun of it ("critics call it good").
     """
     found: list[Span] = []
     tags = list(reading.tags)
@@ -191,7 +191,7 @@ def _missed(
     named = {slot for slot, start, end in spans if not is_denied(words, start, end)}
     is_inform = lexicon.domain.acts[int(reading.acts.argmax())] == "inform"
     is_empty = is_inform and not spans and reading.dont_care.max() < _FAINT
-    maybe = 1.1 if is_empty else _MAYBE  # who informs has named something
+    maybe = 1.1 if is_empty else _MAYBE  # an inform must name something
     for size in range(min(LONGEST, len(words)), 0, -1):
         for start in range(len(words) - size + 1):
             end = start + size
@@ -209,7 +209,7 @@ def _missed(
                 not is_short and (slot == asked or not is_polite) and is_denied(words, start, end)
             )
             ends = not CLAUSE.split(" ".join(words[end:]))[0].strip()
-            least = maybe if not is_short else _LIKELY if ends else 0.0  # "md", but no "if"
+            least = maybe if not is_short else _LIKELY if ends else 0.0  # "md", but not "if"
             is_doubtful = max(reading.each_chance[start:end]) < least and not is_polite
             if denied or ((is_doubtful or is_about) and slot not in named):
                 found.append(Span(slot, start, end))
@@ -218,7 +218,7 @@ def _missed(
 
 
 def _without_place(words: Sequence[str], start: int, end: int, lexicon: Lexicon) -> int:
-    """Returns where a name of a single slot begins after "in" or the like; else the start."""
+    """Returns the start of a single slot's name after "in" or the like; else ``start``."""
     at = start
     while at < end and lexicon.only_slot(" ".join(words[at:end])) is None:
         if words[at] not in _PLACES:
@@ -228,13 +228,13 @@ def _without_place(words: Sequence[str], start: int, end: int, lexicon: Lexicon)
 
 
 def _is_behind_noun(slot: str, words: Sequence[str], start: int, lexicon: Lexicon) -> bool:
-    """Returns whether a noun of a slot stands before a word, in its clause."""
+    """Returns whether a noun of a slot precedes a word in its clause."""
     before = CLAUSE.split(" ".join(words[:start]))[-1].split()
     return not set(before).isdisjoint(lexicon.phrases.slots[slot].nouns)
 
 
 def _bound(words: Sequence[str], start: int) -> int | None:
-    """Returns where "not before", "after" or the like stands at a time or begins it."""
+    """Returns the start of "not before", "after" or the like at a time, else ``None``."""
     for phrase in _BOUNDS:
         for at in range(max(start - len(phrase), 0), start + 1):
             if tuple(words[at : at + len(phrase)]) == phrase:
@@ -245,7 +245,7 @@ def _bound(words: Sequence[str], start: int) -> int | None:
 def _or(
     slot: str, words: Sequence[str], start: int, end: int, lexicon: Lexicon
 ) -> tuple[str, Link] | None:
-    """Returns the other name of "this or that", of which one may not have been tagged."""
+    """Returns the other name of "this or that", which may not have been tagged."""
     for size in range(SHORT, 0, -1):
         for at, own in (
             (end, words[end + 1 : end + 1 + size]),
@@ -258,19 +258,19 @@ def _or(
 
 
 def _is_quantity(words: Sequence[str]) -> bool:
-    """Returns whether words have a number, a day, a month or a part of the day."""
+    """Returns whether words contain a number, a day, a month or a part of the day."""
     return any(any(map(str.isdigit, word)) or word in _QUANTITY_WORDS for word in words)
 
 
 def _within(slot: str, words: Sequence[str], start: int, end: int, lexicon: Lexicon) -> list[_Part]:
-    """Returns names inside of words that are none as a whole, the longest from left to right."""
+    """Returns the longest names, from left to right, in words that are not a name as a whole."""
     found = []
     at = start
     has_month = not MONTH_WORDS.isdisjoint(words[start:end])
     while at < end:
         for stop in range(min(end, at + LONGEST), at, -1):
             text = " ".join(words[at:stop])
-            # A day that its month does not have is no day of another month.
+            # A day that its month does not have is not a day of another month.
             if has_month and re.search(r"\d", text) and MONTH_WORDS.isdisjoint(words[at:stop]):
                 continue
             link = lexicon.link(slot, text)

@@ -1,4 +1,4 @@
-"""The two learned parts of the understanding, and how they are fitted to sentences."""
+"""The two learned parts of the nlu, and their training."""
 
 from __future__ import annotations
 
@@ -32,12 +32,12 @@ class Reading:
     Attributes:
         tags: the best tag of each word.
         tags_chance: their probability.
-        each_chance: the probability of each.
+        each_chance: the probability of each tag.
         acts: the log-probability of each act, ``[A]``.
         requests: the probability that each slot is asked for, ``[S]``.
         dont_care: the probability that each slot does not matter, ``[S]``.
-        unknown: the share of the words that no training sentence has.
-        foreign: the probability that the domain cannot mean it.
+        unknown: the share of words that no training sentence has.
+        foreign: the probability that the sentence is out of domain.
     """
 
     tags: list[str]
@@ -52,7 +52,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Model:
-    """Tagger, net and what they see."""
+    """The tagger, the net and their features."""
 
     features: Features
     tagger: Tagger
@@ -62,7 +62,7 @@ class Model:
     def read(
         self, words: Sequence[str], question: Frame, capitals: frozenset[str] = frozenset()
     ) -> Reading:
-        """Returns the reading of a sentence of one word or more."""
+        """Returns the reading of a sentence of at least one word."""
         tags, chance, each = _tagged(self.tagger, self.features, words, question, capitals)
         parts = [(words, tags), *_clauses(words, tags)]
         named = [self.features.of_sentence(*part, question) for part in parts]
@@ -71,13 +71,13 @@ class Model:
         asked = self.net.slots.index(slot) if slot in self.net.slots else None
         asks = _of_slots(requests[0], asked)
         for row in requests[1:]:
-            clause = _of_slots(row, None)  # counts where it is sure
+            clause = _of_slots(row, None)  # counts only where it is sure
             asks = torch.where(clause > _SURE, torch.maximum(asks, clause), asks)
         return Reading(
             tags,
             chance,
             each,
-            # By the labeling guide the act is what a sentence begins with: its first clause's.
+            # By the labeling guide, the act of a sentence is that of its first clause.
             acts[:, :-1].log_softmax(-1)[:2].mean(0).log_softmax(-1),
             asks,
             _of_slots(dont_care[0], asked),
@@ -93,7 +93,7 @@ def _tagged(
     question: Frame,
     capitals: frozenset[str] = frozenset(),
 ) -> tuple[list[str], float, list[float]]:
-    """Returns what :meth:`Tagger.__call__` says of a sentence."""
+    """Returns the result of :meth:`Tagger.__call__` for a sentence."""
     is_unknown = [features.spelled(word) == UNKNOWN for word in words]
     return tagger(features.of_words(words, question, capitals), is_unknown)
 
@@ -101,7 +101,7 @@ def _tagged(
 def _clauses(
     words: Sequence[str], tags: Sequence[str]
 ) -> list[tuple[Sequence[str], Sequence[str]]]:
-    """Returns the clauses of a sentence with their tags; none of a sentence of one clause."""
+    """Returns the clauses of a sentence with their tags; empty if there is only one."""
     pairs = enumerate(zip(words, tags, strict=True))
     cuts = [at for at, (word, tag) in pairs if word in BREAKS and tag == OUTSIDE]
     bounds = [-1, *cuts, len(words)]
@@ -114,7 +114,7 @@ def _clauses(
 
 
 def _of_slots(logits: torch.Tensor, asked: int | None) -> torch.Tensor:
-    """Returns probabilities of slots ``[S]``: the last logit is that of the slot asked for."""
+    """Returns the probabilities of slots ``[S]``; the last logit is for the slot asked for."""
     chances = logits.sigmoid()
     slots = chances[:-1].clone()
     if asked is not None:
@@ -132,16 +132,16 @@ def fit(
     steps: int,
     tick: Callable[[], object] = bool,
 ) -> Model:
-    """Returns a model fitted to sentences; equal arguments give equal bits.
+    """Returns a model fitted to sentences; equal arguments give bit-identical models.
 
     Args:
-        lexicon: whose names help, of the domain whose acts and slots are read.
+        lexicon: the names, and the domain whose acts and slots are read.
         examples: the sentences.
-        simulated: sentences that the net learns from as well, but the tagger does not.
-        foreign: the same, of what the domain cannot mean; their tags are the tagger's.
-        seed: of the net.
-        steps: of the tagger's optimizer.
-        tick: called after each of them, and after each epoch of the net.
+        simulated: further sentences that only the net learns from.
+        foreign: the same, but out of domain; the tagger tags them.
+        seed: the seed of the net.
+        steps: the maximum number of steps of the tagger's optimizer.
+        tick: called after each of these steps, and after each epoch of the net.
     """
     domain = lexicon.domain
     words = Counter(
@@ -149,7 +149,7 @@ def fit(
     )
     known = [word for word, count in words.items() if count > 1]
     features = Features(lexicon, known)
-    # "Friday or Saturday" informs of neither, which is not to be learned of the names.
+    # "Friday or Saturday" informs neither, but must not teach that these are not names.
     named = [e for e in examples if e.frame != Frame("inform") or {*e.tags} != {OUTSIDE}]
     tagger = Tagger.train(
         [features.of_words(e.words, e.question, e.capitals) for e in named],
@@ -159,7 +159,7 @@ def fit(
     )
     slots, acts = domain.slots, (*domain.acts, FOREIGN.act)
     examples = [*examples, *simulated]
-    for example in foreign:  # what is unknown in them is no name, but may be taken for one
+    for example in foreign:  # their unknown words are not names, but may be taken for one
         tags, _, _ = _tagged(tagger, features, example.words, example.question)
         examples.append(replace(example, tags=tags))
     requests = torch.zeros(len(examples), len(slots) + 1)

@@ -1,7 +1,7 @@
 """The file of an understander: numpy's format, without pickles, checked before anything uses it.
 
-A C library reads the tagger, and trusts what it reads. So a file is used only if its checksum is
-right. That finds damage, not malice: whoever can write the file can write its checksum.
+A C library reads the tagger and trusts its input, so a file is used only if its checksum is right.
+That detects damage, not malice: whoever can write the file can write its checksum.
 """
 
 from __future__ import annotations
@@ -37,11 +37,11 @@ _ARRAYS = {
 
 _TEXTS = ("acts", "slots", "features", "known")
 
-_MAX_BYTES = 1 << 28  # of all arrays: a hundred times what one of ours has
+_MAX_BYTES = 1 << 28  # of all arrays: a hundred times the size of ours
 
 
 def write_model(path: Path, about: Mapping[str, Any], arrays: Mapping[str, np.ndarray]) -> None:
-    """Writes a file, whole or not at all.
+    """Writes a file atomically.
 
     Args:
         path: the file.

@@ -1,4 +1,4 @@
-"""The phrases of a domain: its ``language.yaml``, laid over the generic ones."""
+"""The phrases of a domain: its ``language.yaml``, merged over the generic phrases."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ GENERIC = (
 
 _SECTIONS = ("rules", "user", "agent")
 _DERIVED = ("name", "wishes", "conflict", "choices", "wrong", "words", "q")
-"""Rules that are filled in while a sentence is made."""
+"""Rules that are filled in while a sentence is generated."""
 
 
 _TEXTS = Allowed(
@@ -51,12 +51,12 @@ class SlotPhrases:
     """The phrases of one slot.
 
     Attributes:
-        name: what people call it.
+        name: people's name for the slot.
         nouns: other words for it.
-        kind: the kind of quantity its values are; ``None`` to find out.
-        aliases: value to other ways to say it.
-        capitals: the words that agents write in capitals; they begin the others with one. ``None``
-            where values are written as the data have them.
+        kind: the kind of quantity of its values; ``None`` to infer it.
+        aliases: the other ways to say each value.
+        capitals: the words that agents write in all capitals; the others get an initial capital.
+            ``None`` to write values as in the data.
         phrases: by use: ask, tell, none, care, want, options, say, with, any, wish, check, clear.
     """
 
@@ -70,13 +70,13 @@ class SlotPhrases:
 
 @dataclass(frozen=True)
 class Phrases:
-    """All phrases of a domain, read.
+    """All phrases of a domain, parsed.
 
     Attributes:
-        rules: phrases by the name of the rule.
-        user: what users say, by act or use.
-        agent: what agents say, by act or use.
-        slots: each slot of the domain.
+        rules: the phrases by rule name.
+        user: the users' phrases by act or use.
+        agent: the agents' phrases by act or use.
+        slots: the phrases of each slot.
     """
 
     rules: Mapping[str, tuple[Template, ...]]
@@ -86,7 +86,7 @@ class Phrases:
 
     @property
     def names(self) -> dict[str, str]:
-        """The name that people have for each slot."""
+        """People's name for each slot."""
         return {slot: entry.name for slot, entry in self.slots.items()}
 
 
@@ -94,8 +94,8 @@ def load_phrases(domain: Domain) -> Phrases:
     """Returns the phrases of a domain.
 
     Args:
-        domain: whose slots the phrases may name. Its ``language.yaml`` is looked for in its
-            folder; without one, and without the file, the generic phrases are all there is.
+        domain: the domain whose slots the phrases may name. Without a ``language.yaml`` in its
+            folder, only the generic phrases apply.
 
     Raises:
         PhrasesError: if the file is no YAML, or names what the domain does not have.
@@ -120,7 +120,7 @@ def load_phrases(domain: Domain) -> Phrases:
 
 
 def has_own_phrases(domain: Domain) -> bool:
-    """Returns whether the domain has its ``language.yaml``; others speak in generic phrases."""
+    """Returns whether the domain has a ``language.yaml``; otherwise its phrases are generic."""
     return domain.folder is not None and (domain.folder / LANGUAGE_FILE).is_file()
 
 

@@ -1,6 +1,6 @@
-"""Times, dates and prices, and kinds of quantity: one canonical key for every way to say the same.
+"""Times, dates, prices and kinds of quantity: one canonical key for all ways to say the same.
 
-The same reader makes the keys of a domain's values and of what people type, so the two meet. A key
+The same reader makes the keys of a domain's values and of what people type, so the two match. A key
 is text: ``"at 19:30"``, ``"friday night"``, ``"3/14"``, ``"2"``, ``"$10"``.
 """
 
@@ -56,8 +56,7 @@ _CLOCK = re.compile(r"(\d{1,2})[:.h](\d\d)")
 def read_time(text: str) -> str | None:
     """Returns the key of a time of day, else ``None``.
 
-    An hour without am or pm is marked by ``?`` and means the afternoon or evening where both
-    exist.
+    An hour without am or pm is marked by ``?`` and means the afternoon or evening if both exist.
 
     Examples:
         >>> [read_time(t) for t in ("7:30 pm", "half past seven", "1930", "after 6pm", "25:99")]
@@ -104,7 +103,7 @@ def read_time(text: str) -> str | None:
 
 
 def _clock(words: list[str]) -> tuple[int, int, bool] | None:
-    """Returns hour, minute and whether the clock has 24 hours beyond doubt."""
+    """Returns the hour, the minute and whether the clock certainly has 24 hours."""
     if len(words) == 1:
         word = words[0]
         if match := _CLOCK.fullmatch(word):
@@ -240,11 +239,11 @@ READERS: dict[Kind, Callable[[str], str | None]] = {
     "count": read_count,
     "price": read_price,
 }
-"""The reader of each kind of value but ``text``."""
+"""The reader of each kind of value except ``text``."""
 
 
 def kind_of(values: Iterable[str]) -> Kind:
-    """Returns the kind of quantity that most values of a slot are, else ``"text"``.
+    """Returns the kind of quantity of most values of a slot, else ``"text"``.
 
     Examples:
         >>> kind_of(["7pm", "8:15 pm", "after work"]), kind_of(["98101", "10036"])
@@ -253,7 +252,7 @@ def kind_of(values: Iterable[str]) -> Kind:
     values = tuple(values)
     orders: tuple[Kind, ...] = ("price", "count", "date", "time")
     for kind in orders:
-        # "amc 8" has a number and is no count.
+        # "amc 8" has a number but is not a count.
         longest = 1 if kind == "count" else 5
         read = sum(
             READERS[kind](value) is not None and len(tokenize(value)) <= longest for value in values

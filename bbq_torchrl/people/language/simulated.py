@@ -1,4 +1,4 @@
-"""Acts of simulated dialogues, for which sentences must exist."""
+"""Acts of simulated dialogues, for which there must be sentences."""
 
 from __future__ import annotations
 
@@ -25,13 +25,13 @@ def play(
     """Returns the acts of dialogues with agents that are half scripted, half random.
 
     Args:
-        domain: what is spoken of.
-        dialogues: how many, rounded up to whole batches.
-        seed: draws users and agents.
-        kept: how many of a batch's dialogues are written down at each turn.
+        domain: the domain.
+        dialogues: the number of dialogues, rounded up to whole batches.
+        seed: the seed of users and agents.
+        kept: the number of dialogues of a batch to record at each turn.
 
     Returns:
-        The agent's act, ``None`` at the opening, and what the user then means.
+        The agent's act, ``None`` at the opening, and the user's act that follows.
     """
     tensors = tensorize(domain)
     simulator = Simulator(tensors)
@@ -61,7 +61,7 @@ def play(
 
 
 def _frames(coding: Coding, states: TensorDict) -> list[tuple[Frame | None, Frame]]:
-    """Returns the agent's act and the user's in each of some states ``[B]``."""
+    """Returns the agent's act and the user's act in each of the states ``[B]``."""
     users = _side(coding, states, "user_act", "meant_informs", "pending")
     agents = _side(coding, states, "agent_act", "agent_informs", "agent_requests")
     return [
@@ -71,6 +71,6 @@ def _frames(coding: Coding, states: TensorDict) -> list[tuple[Frame | None, Fram
 
 
 def _side(coding: Coding, states: TensorDict, *keys: str) -> list[Frame]:
-    """Returns one side's acts, of the keys of act, values and questions."""
+    """Returns one side's acts, from the keys of its act, values and questions."""
     columns = [states[key].tolist() for key in keys]
     return [coding.frame(*row) for row in zip(*columns, strict=True)]

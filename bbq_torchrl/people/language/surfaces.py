@@ -1,4 +1,4 @@
-"""Other ways to write: clocks, dates, short names, words for numbers; typos, slang, filler."""
+"""Variants of text: clocks, dates, short names, words for numbers, typos, slang and filler."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Surfaces:
     """Writes values as people do.
 
     Args:
-        lexicon: the values; a way to write one is used only where it is read as the same.
+        lexicon: the values; a variant is used only if it is read as the same value.
     """
 
     def __init__(self, lexicon: Lexicon) -> None:
@@ -54,7 +54,7 @@ class Surfaces:
         return written if written and self._is_read(slot, value, written) else value
 
     def _reads(self, slot: str, value: str, written: str) -> bool:
-        """Returns whether what was written is read as the value, and as that of no other slot."""
+        """Returns whether a variant is read as the value, and as no other slot's value."""
         found = self._lexicon.link(slot, written).values
         return (
             len(found) == 1
@@ -158,7 +158,7 @@ class Surfaces:
         number = int(key)
         mate = rng.choice(_MATES)
         ways = [str(number), UNITS[number]] * 2
-        if slot not in self._lexicon.domain.free_slots:  # those count people: "me and my wife"
+        if slot not in self._lexicon.domain.free_slots:  # free slots count people: "me and my wife"
             return rng.choice(ways)
         some = rng.choice((str(number - 1), UNITS[number - 1])) if number > 2 else ""
         ways += ENGLISH["counts"].get(number if number <= 2 else "more", [])
@@ -200,7 +200,7 @@ _SWAPPED = {word: others.split(",") for word, others in pairs("swapped").items()
 
 
 def typo(word: str, rng: random.Random) -> str:
-    """Returns the word with one slip of the fingers; very short words as they are."""
+    """Returns the word with one typo; very short words are unchanged."""
     if len(word) < 3 or not word.isalpha():
         return word
     at = rng.randrange(1, len(word))
@@ -215,12 +215,12 @@ def typo(word: str, rng: random.Random) -> str:
 
 
 def with_typos(words: Sequence[str], share: float, rng: random.Random) -> list[str]:
-    """Returns the words, each with a slip by the chance ``share``."""
+    """Returns the words, each with a typo with probability ``share``."""
     return [typo(word, rng) if rng.random() < share else word for word in words]
 
 
 def lowered(text: str) -> str:
-    """Returns a text in lower case without marks, but those inside of numbers and words."""
+    """Returns a text in lower case, without marks except those inside numbers and words."""
     kept = [
         letter
         for at, letter in enumerate(text)
@@ -233,7 +233,7 @@ def lowered(text: str) -> str:
 
 
 def slangy(tagged: Tagged, rng: random.Random) -> Tagged:
-    """Returns a sentence in which some words are written as in short messages."""
+    """Returns a sentence in which some words are written as in text messages."""
     share = rng.choice((0.2, 0.5))
     return [
         (_SLANG.get(word, word) if tag == OUTSIDE and rng.random() < share else word, tag)
@@ -242,7 +242,7 @@ def slangy(tagged: Tagged, rng: random.Random) -> Tagged:
 
 
 def as_second_language(tagged: Tagged, rng: random.Random) -> Tagged:
-    """Returns a sentence that lost small words, with others in their place."""
+    """Returns a sentence with some small words dropped, swapped or added."""
     kept = []
     for word, tag in tagged:
         if tag == OUTSIDE and word in DROPPED and rng.random() < 0.3:

@@ -2,7 +2,7 @@
 
 =============  ================================================================================
 ``[a|b]``      one of these; ``[|a]`` may be left out
-``{slot}``     the value of a slot; a choice that needs a value which is not there is not taken
+``{slot}``     the value of a slot; a choice that needs a missing value is not taken
 ``<rule>``     one of the phrases of a rule
 =============  ================================================================================
 """
@@ -25,7 +25,7 @@ _DEEPEST = 20
 
 
 class TemplateError(ValueError):
-    """A phrase that cannot be read."""
+    """A phrase that cannot be parsed."""
 
 
 class Piece(NamedTuple):
@@ -42,13 +42,13 @@ class _Name:
 
     @cached_property
     def key(self) -> str:
-        """Its name among the values of a sentence."""
+        """Its key in the values of a sentence."""
         return self.name if self.kind == "slot" else f"<{self.name}>"
 
 
 @dataclass(frozen=True)
 class Template:
-    """A phrase as it is read: parts one after another.
+    """A parsed phrase: a sequence of parts.
 
     Attributes:
         parts: texts, names of slots and rules, and choices among phrases.
@@ -57,7 +57,7 @@ class Template:
     parts: tuple[_Part, ...]
 
     def names(self) -> Iterator[tuple[str, str]]:
-        """Yields ``("slot", name)`` and ``("rule", name)`` for all that the phrase names."""
+        """Yields ``("slot", name)`` and ``("rule", name)`` for every name in the phrase."""
         for part in self.parts:
             if isinstance(part, tuple):
                 for option in part:
@@ -70,7 +70,7 @@ _Part = str | _Name | tuple[Template, ...]
 
 
 def parse(text: str, own: str = "") -> Template:
-    """Returns the phrase that ``text`` writes; ``{}`` is the value of the slot ``own``.
+    """Returns the phrase parsed from ``text``; ``{}`` is the value of the slot ``own``.
 
     Raises:
         TemplateError: if a bracket is not closed, or opened.
@@ -117,7 +117,7 @@ def is_possible(
     values: Mapping[str, Sequence[Piece]],
     rules: Mapping[str, Sequence[Template]],
 ) -> bool:
-    """Returns whether the values that the phrase needs are there."""
+    """Returns whether all values that the phrase needs are available."""
     for part in template.parts:
         if isinstance(part, str) or (isinstance(part, _Name) and part.key in values):
             continue
@@ -129,7 +129,7 @@ def is_possible(
 def _options_of(
     part: _Name | tuple[Template, ...], rules: Mapping[str, Sequence[Template]]
 ) -> Sequence[Template]:
-    """Returns the phrases of which one stands for a part that has no value."""
+    """Returns the phrases that may stand for a part without a value."""
     if isinstance(part, tuple):
         return part
     return rules.get(part.name, ()) if part.kind == "rule" else ()
@@ -145,9 +145,9 @@ def expand(
 
     Args:
         template: the phrase; it must be possible.
-        values: what stands for slots by name, and for rules by ``<name>``.
+        values: the pieces of slots by name, and of rules by ``<name>``.
         rules: the phrases of each rule.
-        rng: chooses.
+        rng: the random number generator.
     """
     pieces: list[Piece] = []
     for part in template.parts:
@@ -166,13 +166,13 @@ def choose(
     rules: Mapping[str, Sequence[Template]],
     rng: random.Random,
 ) -> list[Piece]:
-    """Returns a sentence of one of those phrases that are possible; arguments as of `expand`."""
+    """Returns a sentence of one of the possible phrases; arguments as in `expand`."""
     possible = [option for option in options if is_possible(option, values, rules)]
     return expand(rng.choice(possible), values, rules, rng)
 
 
 def plain(pieces: Sequence[Piece]) -> str:
-    """Returns the text of pieces, spaces in order."""
+    """Returns the text of pieces, with clean spaces and marks."""
     text = " ".join("".join(piece.text for piece in pieces).split())
     text = re.sub(r"\s+([,.!?;:])", r"\1", text)
     text = re.sub(r"([,.!?;:])(?:\s*[,.;:])+", r"\1", text)

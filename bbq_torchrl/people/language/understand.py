@@ -1,4 +1,4 @@
-"""From what a user types to a frame with values of the domain."""
+"""From a user's text to a frame with values of the domain."""
 
 from __future__ import annotations
 
@@ -39,32 +39,32 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.language.labeled import Line
 
 SENTENCES = 7_200
-"""The most sentences of people to learn from."""
+"""The maximum number of people's sentences to learn from."""
 
 THRESHOLD = 0.75
-"""The confidence below which to ask again: .8 of the sentences of unseen hands are above it."""
+"""The confidence below which to ask again: .8 of unseen writers' sentences are above it."""
 
 _STEPS, _BLIND_STEPS = 40, 30  # of the tagger's optimizer
 
 TICKS = _STEPS + _BLIND_STEPS + 2 * EPOCHS
-"""The most steps of learning."""
+"""The maximum number of steps of learning."""
 
 _MAX_WORDS = 120
-_CALM = 0.3  # sentences of the grammar are more crowded than those of people
-_OWN = 4  # at least one sentence of the grammar for this many others
-_PLAYED = 4  # sentences of simulated users to one of the others
-_TAGGED = 16  # the tagger learns from one in so many of these
-_COPIES = 4  # at most, of each of people's sentences, with other values
-_UNKNOWN = 4  # one in so many of the grammar's sentences is learned with other values, too
-_FOREIGN = 4  # to one sentence that the domain cannot mean, so many of people's
-_SHARE = 4  # the smaller model learns from one in so many of the grammar's sentences
+_CALM = 0.3  # of noise: the grammar's sentences are more crowded than people's
+_OWN = 4  # at least one of the grammar's sentences to this many others
+_PLAYED = 4  # simulated users' sentences to one of the others
+_TAGGED = 16  # the tagger learns from one in this many of these
+_COPIES = 4  # of each of people's sentences, with other values, at most
+_UNKNOWN = 4  # one in this many of the grammar's sentences is also learned with other values
+_FOREIGN = 4  # people's sentences to one out-of-domain sentence
+_SHARE = 4  # the smaller model learns from one in this many of the grammar's sentences
 
 
 class Understander:
     """Understands users of a domain.
 
     Args:
-        lexicon: the phrases and values of what is spoken of.
+        lexicon: the domain's phrases and values.
         model: the learned parts.
         calibration: weights ``[CUES]`` from cues to the log-odds that a frame is right.
         threshold: the confidence below which the caller should ask again.
@@ -99,23 +99,22 @@ class Understander:
         threshold: float = THRESHOLD,
         tick: Callable[[], object] = bool,
     ) -> Understander:
-        """Returns an understander that has learned from sentences of the domain's own grammar.
+        """Returns an understander trained on sentences of the domain's grammar.
 
-        Equal arguments give equal bits. Torch runs on one thread meanwhile.
+        Equal arguments give bit-identical results. Torch runs on one thread during training.
 
         Args:
-            domain: what is spoken of. Its folder may have its ``language.yaml``, and labeled lines
-                of people, which are learned with the own sentences: ``learned.txt``, as people
-                type, and ``drilled.txt``, written for what is hard. The confidence is fitted to a
-                quarter of the former, as a smaller model understands them that has learned from
-                half of it.
-            sentences: how many of people's to learn from, at most. The grammar's own fill them up
-                and are a quarter as many at least; those of simulated users are four times as many,
-                and most of them for the net alone.
-            seed: chooses them, and the net's first weights.
-            labeled: lines of people's, learned as ``learned.txt``.
+            domain: the domain. Its folder may have a ``language.yaml`` and people's labeled lines,
+                which are learned with the grammar's sentences: ``learned.txt``, as people type,
+                and ``drilled.txt``, written for hard cases. The confidence is fitted to a quarter
+                of the former, as understood by a smaller model trained on half of it.
+            sentences: the maximum number of people's sentences to learn from. The grammar's
+                sentences make up the rest, and are at least a quarter as many. Simulated users'
+                sentences are four times as many, most of them for the net alone.
+            seed: the seed of the sentences and of the net's initial weights.
+            labeled: people's labeled lines, learned like ``learned.txt``.
             threshold: the confidence below which the caller should ask again.
-            tick: called as it goes forward, at most :data:`TICKS` times.
+            tick: called after each step of learning, at most :data:`TICKS` times.
 
         Raises:
             ValueError: if there are no sentences to learn from.
@@ -155,7 +154,7 @@ class Understander:
             foreign = make_foreign(lexicon, said, len(others) // 2, seed + 1)
             judged, apart = cls(lexicon, model, start)._judged([*others, *foreign]), None
             if people[1::2]:
-                # How sure to be is learned of people's sentences that the model has not seen.
+                # The confidence is fitted to people's sentences that the model has not seen.
                 seen, unseen = slice(0, None, 2), slice(1, None, 2)
                 blind = cls(lexicon, learned(people[seen], _SHARE, _BLIND_STEPS, seen), start)
                 unknown = make_foreign(lexicon, said, len(people) // 20, seed + 1, unseen)
@@ -169,7 +168,7 @@ class Understander:
         """Returns the meaning of ``text``.
 
         Args:
-            text: what the user typed.
+            text: the user's text.
             question: the agent's last act; ``None`` at the opening.
 
         Raises:
@@ -181,13 +180,13 @@ class Understander:
         return Understood(frame, probability(cues, self._calibration), unclear)
 
     def asks(self, understood: Understood) -> bool:
-        """Returns whether the system should ask again rather than act on it."""
+        """Returns whether the system should ask again instead of acting."""
         return understood.confidence < self.threshold or bool(understood.unclear)
 
     def _hear(
         self, words: Sequence[str], question: Frame, capitals: frozenset[str]
     ) -> tuple[Frame, tuple[Unclear, ...], np.ndarray]:
-        """Returns the frame of some words, what is unclear, and the cues of how sure that is."""
+        """Returns the frame of some words, the unclear words, and the cues of its confidence."""
         reading = self._model.read(words, question, capitals)
         frame, unclear = assemble(words, reading, question, self.lexicon)
         chance = reading.acts[self.domain.acts.index(frame.act)].exp().item()
@@ -202,7 +201,7 @@ class Understander:
         return frame, unclear, cues
 
     def _judged(self, sentences: Sequence[Example]) -> tuple[np.ndarray, np.ndarray]:
-        """Returns the cues ``[N, CUES]`` of sentences, and which frames are right ``[N]``."""
+        """Returns the cues ``[N, CUES]`` of sentences, and whether each frame is right ``[N]``."""
         rows, right = [], []
         for example in sentences:
             frame, _, cues = self._hear(example.words, example.question, example.capitals)
@@ -232,12 +231,12 @@ class Understander:
     def load(cls, path: str | Path, domain: Domain) -> Understander:
         """Returns the understander that :meth:`save` wrote.
 
-        Only for a file of your own, or of somebody whom you trust: its checksum finds damage, but a
-        file that was made to do harm reaches a library in C, which does not expect it.
+        Load only your own files, or those of somebody you trust: the checksum detects damage, but a
+        malicious file reaches a C library that does not expect it.
 
         Args:
             path: the file.
-            domain: what is spoken of; its acts and slots must be those it was trained for.
+            domain: the domain; its acts and slots must be those that it was trained for.
 
         Raises:
             FileNotFoundError: if there is no such file.
@@ -258,7 +257,7 @@ class Understander:
 
 
 def same_frame(left: Frame, right: Frame, lexicon: Lexicon) -> bool:
-    """Returns whether two frames are equal, values by their canonical keys."""
+    """Returns whether two frames are equal, comparing values by their canonical keys."""
     return (
         left.act == right.act
         and set(left.requests) == set(right.requests)

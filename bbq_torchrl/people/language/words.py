@@ -1,4 +1,4 @@
-"""Text as the understanding reads it: cleaned, folded, in words."""
+"""Text as the nlu reads it: cleaned, folded and split into words."""
 
 from __future__ import annotations
 
@@ -44,15 +44,15 @@ _TOKEN = re.compile(
 
 
 SMALL = word_set("small")
-"""Words that tell nothing of a name."""
+"""Words that carry no information in a name."""
 
 _SHORT = pairs("short")
-"""Words as short messages have them, which are read as the long ones."""
+"""The abbreviations in text messages, and the full words that they stand for."""
 _APOSTROPHES = str.maketrans({"’": "'", "‘": "'", "`": "'", "´": "'", "“": '"', "”": '"', "–": "-"})
 
 
 def legible(text: str) -> str:
-    """Returns a clean text in plain letters and marks, without marks of direction.
+    """Returns a clean text in plain letters and marks, without control characters.
 
     Raises:
         TextError: if the text is too long, or blank.
@@ -89,7 +89,7 @@ def tokenize(text: str) -> list[str]:
 
 
 def words_of(text: str) -> list[str]:
-    """Returns the words of what somebody typed, see :func:`legible` and :func:`tokenize`.
+    """Returns the words of a typed text, see :func:`legible` and :func:`tokenize`.
 
     Raises:
         TextError: if the text is too long, or has no words.
@@ -101,7 +101,7 @@ def words_of(text: str) -> list[str]:
 
 
 def capitalized(text: str) -> frozenset[str]:
-    """Returns the words inside of the sentences of a text that begin with a capital, as names do.
+    """Returns the words inside a text's sentences that begin with a capital, as names do.
 
     Small words and words all in capitals are left out.
 
@@ -121,7 +121,7 @@ def capitalized(text: str) -> frozenset[str]:
 
 
 def compact(text: str) -> str:
-    """Returns the letters and digits of a text: what two spellings of a name share.
+    """Returns the letters and digits of a text: the part that two spellings of a name share.
 
     Examples:
         >>> compact("PG-13") == compact("pg13")
@@ -148,7 +148,7 @@ def is_yes(text: str) -> bool:
 
 
 def has_yes(text: str) -> bool:
-    """Returns whether a text says yes among other words, and not no.
+    """Returns whether a text says yes among other words, but not no.
 
     Examples:
         >>> [has_yes(text) for text in ("wonderful, yes please", "yes, not at 7", "I am sure")]
@@ -170,7 +170,7 @@ def is_no(text: str) -> bool:
 
 
 def is_farewell(text: str) -> bool:
-    """Returns whether a text has words of somebody who ends the conversation.
+    """Returns whether a text contains words of farewell.
 
     Examples:
         >>> [is_farewell(text) for text in ("ok, bye", "forget the date. any date")]
@@ -205,7 +205,7 @@ COUNT_WORDS = frozenset(
 
 
 def number_of(word: str) -> int | None:
-    """Returns the number that a word or at most four digits name, else ``None``."""
+    """Returns the number named by a word or by at most four digits, else ``None``."""
     if word.isdecimal() and word.isascii():
         return int(word) if len(word) <= 4 else None
     return _NUMBERS.get(word)

@@ -1,7 +1,7 @@
-"""A human study in the browser: people talk with agents, blindly, and rate them.
+"""A human study in the browser: participants talk with agents, blindly, and rate them.
 
-``bbq study`` is the command line; needs the extra ``study``. Who talks is a
-:class:`~bbq_torchrl.people.dialogue.Talker`: this package knows neither networks nor language.
+``bbq study`` is the command line; it needs the extra ``study``. The agents are a
+:class:`~bbq_torchrl.people.dialogue.Talker`: this package needs neither networks nor language.
 """
 
 from __future__ import annotations

@@ -32,7 +32,7 @@ if TYPE_CHECKING:
 
 TALKER = "bbq_torchrl.people.study.agents:make_talker"
 USERS = "bbq_torchrl.people.study.users:make_users"
-"""Named, not imported: the study knows neither networks nor language."""
+"""Names, not imports: the study depends on neither networks nor language."""
 
 MAX_CONNECTIONS = 1_000
 
@@ -86,7 +86,7 @@ def _parser() -> argparse.ArgumentParser:
         "of the domain",
     )
     simulate.add_argument(
-        "--seed", type=between(int, 0, 2**32 - 1), default=0, help="of plan, users and ratings"
+        "--seed", type=between(int, 0, 2**32 - 1), default=0, help="the random seed"
     )
     simulate.add_argument("--out", type=_path, help="folder; without it, <study>-simulated-report")
 
@@ -106,12 +106,12 @@ def _parser() -> argparse.ArgumentParser:
     power = add("power", _power, "how likely a study finds a difference")
     power.add_argument("better", type=between(float, 0.001, 0.999), help="success of one agent")
     power.add_argument("worse", type=between(float, 0.001, 0.999), help="success of the other")
-    power.add_argument("people", type=between(int, 1, 100_000), help="who each meet both")
+    power.add_argument("people", type=between(int, 1, 100_000), help="participants, each of whom meets both agents")
     power.add_argument(
         "--sessions", type=between(int, 1, 50), default=1, help="of a person with each agent"
     )
     power.add_argument("--pairs", type=between(int, 1, 1_000), default=1, help="pairs declared")
-    how = "how much people differ, in log-odds"
+    how = "standard deviation between participants, in log-odds"
     power.add_argument("--person-sd", type=between(float, 0.0, 10.0), default=1.0, help=how)
     power.add_argument("--simulations", type=between(int, 100, 1_000_000), default=4_000)
     power.add_argument("--seed", type=between(int, 0, 2**32 - 1), default=0)
@@ -119,7 +119,7 @@ def _parser() -> argparse.ArgumentParser:
 
 
 def _path(text: str) -> Path:
-    """Reads a path; in ``--out=~/report`` the shell leaves the tilde as it is."""
+    """Returns a path with the tilde expanded; the shell keeps it in ``--out=~/report``."""
     return Path(expanduser(text))
 
 
@@ -140,13 +140,13 @@ def _serve(given: argparse.Namespace) -> None:
 
 
 def _run(study: Study, talker: Talker, listener: socket.socket, local: Address) -> None:
-    """Serves a study until it is told to end.
+    """Serves a study until it is interrupted.
 
     Args:
-        study: what is asked of people.
+        study: the study.
         talker: the agents.
-        listener: a socket that listens.
-        local: its address, used where the study names none.
+        listener: a listening socket.
+        local: its address, used if the study has no URL.
     """
     import uvicorn
 
@@ -160,13 +160,13 @@ def _run(study: Study, talker: Talker, listener: socket.socket, local: Address) 
         _say(f"for you: {address.link(f'/r/{store.key(RESEARCHER)}')}")
         config = uvicorn.Config(
             application(study, store, talker),
-            # The links are secrets, so they are in no log.
+            # The links are secret, so they must not be logged.
             access_log=False,
             log_level="warning",
             server_header=False,
             proxy_headers=False,
             limit_concurrency=MAX_CONNECTIONS,
-            # Longer than people think: a message must not meet a connection that is just closed.
+            # Longer than people think, so that no message arrives as its connection closes.
             timeout_keep_alive=120,
             timeout_graceful_shutdown=10,
         )
@@ -180,7 +180,7 @@ def _simulate(given: argparse.Namespace) -> None:
     study = load_study(given.study)
     from bbq_torchrl.people.study.simulate import simulate
 
-    # Another name: the study's data are for people.
+    # A separate name: the study's data file is for participants.
     given.study = _simulated(study.path)
     study = replace(study, path=given.study)
     interruption.tell(lambda: "while simulating", lambda: "the same command continues it")
@@ -189,7 +189,7 @@ def _simulate(given: argparse.Namespace) -> None:
 
 
 def _simulated(path: Path) -> Path:
-    """Returns the name of a study's simulation."""
+    """Returns the path of a study's simulation."""
     return path.with_name(f"{path.stem}-simulated{path.suffix}")
 
 
@@ -221,7 +221,7 @@ def _participants(given: argparse.Namespace) -> None:
     from bbq_torchrl.people.study.keeping import export_participants
 
     file = given.out or given.study.with_name(f"{given.study.stem}-participants.csv")
-    if file.suffix != ".csv":  # the study's data, say
+    if file.suffix != ".csv":  # such as the study's data
         raise StudyError(
             "--out", [f"it must be a file that ends with .csv, got {shown(str(file))}"]
         )

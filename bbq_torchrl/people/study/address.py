@@ -14,7 +14,7 @@ _ADDRESS = re.compile(rf"{_ORIGIN}((?:/[\w.~-]+)*)/?", re.ASCII | re.IGNORECASE)
 _PORTS = {"http": 80, "https": 443}
 _NO_HOST = "--host must be an address of this machine"
 _PAGES = ("/join", "/p", "/r", "/static")
-"""First parts of the paths of a study's pages."""
+"""The first parts of the paths of a study's pages."""
 
 ALLOWED = (
     "an address such as https://lab.example/study/: http or https, host, port and path, without "
@@ -27,12 +27,12 @@ ALLOWED = (
 class Address:
     """The address at which people reach a study.
 
-    The default is for a server without one: it has no prefix, and the ``Host`` of a request tells
-    its origin.
+    The default is for a server without one: it has no prefix, and its origin comes from the
+    ``Host`` of a request.
 
     Attributes:
         origin: scheme, host and port, as browsers send them: ``https://lab.example``.
-        prefix: path in front of all pages, without a slash at its end: ``/study``.
+        prefix: path prefix of all pages, without a trailing slash: ``/study``.
     """
 
     origin: str = ""
@@ -43,7 +43,7 @@ class Address:
         """Returns the address that a URL names.
 
         Raises:
-            ValueError: with what is allowed.
+            ValueError: if the URL is not allowed; the message says which are.
 
         Examples:
             >>> Address.of("https://Lab.example:443/study/")
@@ -74,7 +74,7 @@ class Address:
         return f"{self.origin}{self.prefix}{path}"
 
     def inner(self, path: str) -> str:
-        """Returns the path of a page from that of a request, which may or may not have the prefix.
+        """Returns the page's path from a request's path, with or without the prefix.
 
         Examples:
             >>> address = Address.of("https://lab.example/study")
@@ -86,11 +86,11 @@ class Address:
         return path.rstrip("/") or "/"
 
     def is_own(self, origin: str, host: str | None) -> bool:
-        """Tells whether a form comes from a page of the study.
+        """Returns whether a form comes from a page of the study.
 
         Args:
-            origin: header of the form.
-            host: header of the form, ``None`` without one.
+            origin: the ``Origin`` header of the form.
+            host: the ``Host`` header of the form, or ``None``.
         """
         scheme = origin.partition("://")[0].lower()
         given = _normal(origin)
@@ -109,15 +109,15 @@ def _is_port(text: str | None) -> bool:
 
 
 def is_everywhere(host: str) -> bool:
-    """Tells whether a server with this host listens at all addresses of its machine."""
+    """Returns whether a server with this host listens on all addresses of its machine."""
     return host in ("", "0.0.0.0", "::")
 
 
 def listen(host: str, port: int) -> socket.socket:
-    """Returns a socket that listens; who connects waits until somebody serves it.
+    """Returns a listening socket; clients that connect wait until they are served.
 
     Raises:
-        ValueError: with what to change.
+        ValueError: if it cannot listen there; the message says what to change.
     """
     try:
         family = socket.AF_INET6 if ":" in host else socket.AF_INET
@@ -131,5 +131,5 @@ def listen(host: str, port: int) -> socket.socket:
         else:
             text = f"{_NO_HOST}, got {shown(host)}"
         raise ValueError(text) from error
-    except UnicodeError as error:  # a name that no host can have
+    except UnicodeError as error:  # an invalid host name
         raise ValueError(f"{_NO_HOST}, got {shown(host)}") from error

@@ -28,20 +28,20 @@ _log = logging.getLogger(__name__)
 
 
 class AgentTalker:
-    """The agents of a study, of run folders or shipped: text in, text out, frames and beliefs.
+    """The agents of a study, from run folders or shipped: text in; text, frames and beliefs out.
 
-    Without an understander in the user's cache it is trained first, in about a minute.
+    If the user's cache has no understander of the domain, it is trained first, in about a minute.
 
     Args:
-        study: whose agents; a run folder is looked for from the study file's folder on.
-        tell: is told when the language of the domain is learned.
+        study: the study; paths of run folders are relative to the study file's folder.
+        tell: called with a message when the training begins.
 
     Attributes:
-        domain: the study's, in the spelling that all acts have.
-        labels: how people call the domain's slots.
+        domain: the study's domain, in the spelling of all acts.
+        labels: the readable names of the domain's slots.
 
     Raises:
-        StudyError: with every agent that cannot be loaded, or is of another domain.
+        StudyError: if agents cannot be loaded or have another domain; it lists all of them.
         ModuleNotFoundError: the extra ``language`` is not installed.
     """
 
@@ -54,7 +54,7 @@ class AgentTalker:
         spelling = Spelling(study.domain)
         self.domain = spelling.domain
         nlg = Generator(self.domain)
-        # The tagger is not safe to be used by several threads at once.
+        # The tagger is not thread-safe.
         self._lock = threading.Lock()
         self._partners: dict[str, Partner] = {}
         faults = []
@@ -100,6 +100,6 @@ class AgentTalker:
 
 
 def make_talker(study: Study) -> AgentTalker:
-    """Returns the agents of a study with this package's language layer, on one thread of torch."""
+    """Returns the agents of a study with this package's language layer; torch uses one thread."""
     torch.set_num_threads(1)
     return AgentTalker(study, tell=print_error)

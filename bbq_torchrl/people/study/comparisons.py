@@ -1,4 +1,4 @@
-"""Two agents compared: the declared test and the usual ones, and the power to find a difference."""
+"""Comparisons of two agents: the declared test, the usual ones, and their power."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ if TYPE_CHECKING:
 
 
 class Difference(NamedTuple):
-    """People's differences between two agents in success, or in the overall rating.
+    """Participants' differences between two agents, in success or in the overall rating.
 
     Attributes:
-        people: how many have sessions with both.
-        mean: over these, with its interval.
-        p: of the sign-flip test.
+        people: the number of participants who have sessions with both.
+        mean: their mean difference, with its interval.
+        p: the p-value of the sign-flip test.
         holm: the same, adjusted for all declared pairs.
     """
 
@@ -45,9 +45,9 @@ class Comparison(NamedTuple):
         worse: the other.
         success: the difference in success.
         rating: the difference in the overall rating.
-        fisher: Fisher's exact p over all sessions of the two.
-        boschloo: Boschloo's exact p over the same.
-        mann_whitney: p over all ratings of the two.
+        fisher: Fisher's exact p-value over all sessions of the two.
+        boschloo: Boschloo's exact p-value over the same.
+        mann_whitney: the Mann-Whitney p-value over all ratings of the two.
     """
 
     better: str
@@ -63,8 +63,8 @@ def compare_pairs(results: Results, without: Collection[str] = ()) -> list[Compa
     """Returns the comparison of every declared pair.
 
     Args:
-        results: the study's.
-        without: people who are left out.
+        results: the study's results.
+        without: participants to leave out.
     """
     kept = [session for session in results.sessions if session.person not in without]
     results = replace(results, sessions=tuple(kept))
@@ -84,9 +84,9 @@ def compare_pairs(results: Results, without: Collection[str] = ()) -> list[Compa
 def _differences(
     results: Results, of: Callable[[str], Mapping[str, Sequence[int]]], most: int
 ) -> list[Difference]:
-    """Returns of each pair people's means with one agent minus those with the other.
+    """Returns, for each pair, participants' means with one agent minus those with the other.
 
-    These lie between ``-most`` and ``most``.
+    The differences lie between ``-most`` and ``most``.
     """
     pairs = []
     for pair in results.terms.pairs:
@@ -104,7 +104,7 @@ def _differences(
 
 
 LEVEL = 0.05
-"""Of the tests."""
+"""The significance level of the tests."""
 
 
 @dataclass(frozen=True)
@@ -113,8 +113,8 @@ class Power:
 
     Attributes:
         sign_flip: share of simulated studies in which the declared test found it.
-        fisher: the same of Fisher's exact test over all sessions.
-        standard_error: of both, at most.
+        fisher: the same for Fisher's exact test over all sessions.
+        standard_error: upper bound on the standard error of both.
     """
 
     sign_flip: float
@@ -133,21 +133,21 @@ def power(
     simulations: int = 2_000,
     seed: int = 0,
 ) -> Power:
-    """Simulates studies of two agents. Returns how often the difference is found.
+    """Simulates studies of two agents. Returns how often they find the difference.
 
-    A person's log-odds of success with either agent are shifted by a normal draw of standard
-    deviation ``person_sd``; the agents' mean success stays what is given. Holm is taken at its
-    strictest: the pair must be significant at the level divided by their number.
+    A participant's log-odds of success with either agent are shifted by a normal draw of standard
+    deviation ``person_sd``; the agents' mean success stays as given. Holm's adjustment is taken at
+    its strictest: the pair must be significant at the level divided by the number of pairs.
 
     Args:
         better: success of one agent, between 0 and 1.
         worse: success of the other.
-        people: how many; each meets both agents.
-        sessions: of a person with each agent.
-        pairs: how many pairs are declared.
-        person_sd: how much people differ, in log-odds.
-        simulations: how many studies.
-        seed: of everything random.
+        people: the number of participants; each meets both agents.
+        sessions: the number of sessions of a participant with each agent.
+        pairs: the number of declared pairs.
+        person_sd: standard deviation between participants, in log-odds.
+        simulations: the number of simulated studies.
+        seed: the random seed.
     """
     rng = np.random.default_rng(seed)
     shift = person_sd * rng.standard_normal((simulations, people))
@@ -165,7 +165,7 @@ def power(
     def exact(one: int, other: int) -> float:
         return stats.fisher_exact([[one, count - one], [other, count - other]]).pvalue
 
-    # The test only sees how often each difference occurs.
+    # The test depends only on how often each difference occurs.
     found = [flipped(tuple(row)) <= level for row in np.sort(won[0] - won[1]).tolist()]
     totals = zip(*(side.sum(1).tolist() for side in won), strict=True)
     fisher = [exact(*pair) <= level for pair in totals]
@@ -173,7 +173,7 @@ def power(
 
 
 def _center(rate: float, person_sd: float) -> float:
-    """Returns the log-odds that, shifted by people's normal draws, succeed at ``rate``."""
+    """Returns the log-odds that succeed at ``rate`` once shifted by participants' normal draws."""
     nodes, weights = np.polynomial.hermite_e.hermegauss(40)
 
     def excess(center: float) -> float:

@@ -1,4 +1,4 @@
-"""The steps of people in a study: say something, end the conversation, rate it."""
+"""The steps of participants in a study: send a message, end the conversation, rate it."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 _NONCE = re.compile(r"[A-Za-z0-9_-]{20,40}", re.ASCII)
 _ID = re.compile(r"[A-Za-z0-9_][\w.:@+=~-]{0,127}", re.ASCII)
-"""An id of the join link: no formula of a spreadsheet, no placeholder that nobody filled in."""
+"""An id in the join link: neither a spreadsheet formula nor a placeholder left unfilled."""
 _LOCKS = 64
 
 
@@ -34,8 +34,8 @@ class RefusedError(ValueError):
     """A step that cannot be taken.
 
     Args:
-        status: of the page that says so.
-        text: what it says.
+        status: the status of the page that says so.
+        text: the sentence on the page.
     """
 
     def __init__(self, status: HTTPStatus, text: str) -> None:
@@ -44,11 +44,11 @@ class RefusedError(ValueError):
 
 
 class Conversations:
-    """The steps of people in a study.
+    """The steps of participants in a study.
 
     Args:
-        study: what is asked of them.
-        store: where it is stored.
+        study: the study.
+        store: the study's store.
         talker: the agents.
     """
 
@@ -58,14 +58,14 @@ class Conversations:
         self._locks = [threading.Lock() for _ in range(_LOCKS)]
 
     def enroll(self, form: Mapping[str, str], ids: Mapping[str, str] | None = None) -> str:
-        """Returns the token of somebody who takes part from now on.
+        """Returns the token of a new participant.
 
         Args:
             form: the consent form.
-            ids: of :func:`ids_of`; the same person gets the same token.
+            ids: the result of :func:`ids_of`; the same person gets the same token.
 
         Raises:
-            RefusedError: without consent, when nobody is wanted any more, or too many at once.
+            RefusedError: without consent, if the study is full, or if too many join at once.
         """
         nonce = _nonce(form)
         if form.get("consent") != "yes":
@@ -88,10 +88,10 @@ class Conversations:
         return token
 
     def say(self, token: str, form: Mapping[str, str]) -> None:
-        """Answers a person's text. A message that was answered already changes nothing.
+        """Answers a participant's message. A message already answered changes nothing.
 
         Raises:
-            RefusedError: with what the person may do instead.
+            RefusedError: if the message is refused; it says what the participant may do instead.
         """
         with self._step(token, form) as (session, nonce):
             exchanges = self._store.exchanges(session.id)
@@ -120,10 +120,10 @@ class Conversations:
             self._store.add_exchange(session, number, nonce, text, reply, end)
 
     def end(self, token: str, form: Mapping[str, str]) -> None:
-        """Ends a conversation, as the person wishes. One that has ended stays so.
+        """Ends a conversation at the participant's request. One that has ended stays ended.
 
         Raises:
-            RefusedError: nothing was said yet.
+            RefusedError: nothing has been said yet.
         """
         with self._step(token, form) as (session, _):
             exchanges = self._store.exchanges(session.id)
@@ -135,10 +135,10 @@ class Conversations:
             self._store.end(session, "person", reasons)
 
     def rate(self, token: str, form: Mapping[str, str]) -> None:
-        """Stores a person's ratings. The same form sent again changes nothing.
+        """Stores a participant's ratings. The same form sent again changes nothing.
 
         Raises:
-            RefusedError: a rating is missing or out of range, or it was rated before.
+            RefusedError: a rating is missing or out of range, or the session was rated before.
         """
         with self._step(token, form) as (session, nonce):
             rated = self._store.rating_nonce(session.id)
@@ -164,7 +164,7 @@ class Conversations:
 
     @contextmanager
     def _step(self, token: str, form: Mapping[str, str]) -> Iterator[tuple[Session, str]]:
-        """Yields session and nonce of a form; a person takes one step at a time."""
+        """Yields the session and nonce of a form; a participant takes one step at a time."""
         nonce = _nonce(form)
         with self._locks[hash(token) % _LOCKS]:
             yield _session(self._store.sessions(token), form), nonce
@@ -174,14 +174,14 @@ class Conversations:
 
 
 def ids_of(names: Sequence[str], values: Callable[[str], Sequence[str]]) -> dict[str, str]:
-    """Returns the parameters of a join link that are stored with a person, by name.
+    """Returns the parameters of a join link that are stored with a participant, by name.
 
     Args:
-        names: of the parameters; the first one is required.
-        values: returns the values that the link has for a name.
+        names: the names of the parameters; the first one is required.
+        values: returns the link's values for a name.
 
     Raises:
-        RefusedError: the first is missing, or one of them is twice in the link, or no id.
+        RefusedError: the first is missing, or one of them occurs twice or is not an id.
     """
     found = {}
     for name in names:
@@ -216,7 +216,7 @@ def _frames(exchanges: Sequence[StoredExchange]) -> list[tuple[Frame, Frame]]:
 
 
 def seed_of(*parts: object) -> int:
-    """Returns the same number below 2**32 for the same parts."""
+    """Returns a seed below 2**32 that depends only on the parts."""
     digest = hashlib.sha256(" ".join(map(str, parts)).encode()).digest()
     return int.from_bytes(digest[:4], "big")
 
@@ -232,7 +232,7 @@ def _nonce(form: Mapping[str, str]) -> str:
 
 
 def _session(sessions: Sequence[Session], form: Mapping[str, str]) -> Session:
-    """Returns the session that a form is of: a person's current one or an earlier one."""
+    """Returns the session of a form: the participant's current one or an earlier one."""
     given, now = form.get("session", ""), current(sessions)
     for session in sessions:
         if str(session.position) == given and (session.is_rated or session is now):

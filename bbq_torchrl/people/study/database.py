@@ -82,29 +82,29 @@ CREATE TABLE recruited (
 ) STRICT;
 """,
 )
-"""Of each version, what it adds to those before."""
+"""The additions of each version to those before."""
 _VERSION = len(_SCHEMAS)
 _MISSING = "CREATE TEMP TABLE recruited (person INTEGER, participant TEXT, ids TEXT)"
-"""Stands in for the table where a file of version 1 is read, or people are deleted from it."""
+"""A stand-in for the table that version 1 lacks, for reading and for deleting participants."""
 
 SIDE_FILES = ("-wal", "-shm", "-journal")
-"""Endings of the files that SQLite keeps next to a study's."""
+"""The suffixes of the files that SQLite keeps next to a study's file."""
 
 PRIVATE = 0o600
-"""Mode of all files of a study: they hold what people wrote, and the secret behind all links."""
+"""Mode of all files of a study: they have participants' texts and the secret behind all links."""
 
 BUSY_SECONDS = 5.0
-"""For which a change waits for others."""
+"""The time that a change waits for others."""
 
 _SQLITE = (3, 37, 0)  # the first with STRICT tables
 
 
 class StoreError(StudyError):
-    """The study's data cannot be read or written.
+    """Study data that cannot be read or written.
 
     Args:
-        path: of its file.
-        faults: one sentence or more.
+        path: the data file.
+        faults: one or more sentences.
     """
 
     def __init__(self, path: Path, *faults: str) -> None:
@@ -113,7 +113,7 @@ class StoreError(StudyError):
 
 @contextmanager
 def writing(path: Path) -> Iterator[sqlite3.Connection]:
-    """Opens a study's file for one server, and creates or extends it where needed.
+    """Opens a study's file for one server, and creates or extends it if needed.
 
     Raises:
         StoreError: another server uses the file, or it is newer, damaged, read-only or foreign.
@@ -133,7 +133,7 @@ def writing(path: Path) -> Iterator[sqlite3.Connection]:
         version = _check(path, connection)
         for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
             connection.execute(f"PRAGMA {pragma}")
-        # Written even if unchanged: a read-only file system is found out now.
+        # Written even if unchanged, to detect a read-only file system now.
         script = "".join(_SCHEMAS[version:])
         connection.executescript(
             f"BEGIN IMMEDIATE; {script} PRAGMA user_version = {_VERSION}; COMMIT;"
@@ -143,19 +143,19 @@ def writing(path: Path) -> Iterator[sqlite3.Connection]:
 
 @contextmanager
 def reading(path: Path) -> Iterator[sqlite3.Connection]:
-    """Opens a study's file for reading, also while a server is at work on it.
+    """Opens a study's file for reading, even while a server is using it.
 
     Raises:
         StoreError: there is no such file, or it is newer or damaged.
     """
     with _existing(path, "ro") as connection:
-        connection.execute("BEGIN")  # one moment of the study for all queries
+        connection.execute("BEGIN")  # one snapshot for all queries
         yield connection
 
 
 @contextmanager
 def changing(path: Path) -> Iterator[sqlite3.Connection]:
-    """Opens a study's file for a change, also while a server is at work on it.
+    """Opens a study's file for a change, even while a server is using it.
 
     Raises:
         StoreError: as for :func:`reading`, or it cannot be written.
@@ -179,7 +179,7 @@ def _existing(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
         version = _check(path, connection)
         if not version:
             raise StoreError(path, "it is empty: the study has not been served yet")
-        if version < _VERSION:  # only a server changes it: an older one may be at work on it
+        if version < _VERSION:  # only a server upgrades it: an older one may be using it
             connection.execute(_MISSING)
         yield connection
 
@@ -190,10 +190,10 @@ def _private(path: Path) -> sqlite3.Connection:
 
 
 def make_private(path: Path) -> None:
-    """Makes a file private to its owner, or one that exists and its side files.
+    """Makes a file private to its owner: a new one, or an existing one with its side files.
 
     Raises:
-        StoreError: it cannot be made there, or its mode is not ours to change.
+        StoreError: it cannot be created there, or its mode cannot be changed.
     """
     try:
         if not path.exists():
@@ -207,7 +207,7 @@ def make_private(path: Path) -> None:
 
 
 def _check(path: Path, connection: sqlite3.Connection) -> int:
-    """Refuses a file that is newer, damaged, or of something else. Returns its version."""
+    """Refuses a newer, damaged or foreign file. Returns the file's version."""
     version = int(connection.execute("PRAGMA user_version").fetchone()[0])
     if version > _VERSION:
         raise StoreError(
@@ -226,7 +226,7 @@ def _check(path: Path, connection: sqlite3.Connection) -> int:
 
 @contextmanager
 def as_store_errors(path: Path) -> Iterator[None]:
-    """Turns errors of SQLite into sentences."""
+    """Turns errors of SQLite into :class:`StoreError`."""
     try:
         yield
     except sqlite3.Error as error:

@@ -1,4 +1,4 @@
-"""The order in which people meet agents: Williams rows, which balance order and carry-over."""
+"""The order in which participants meet agents: Williams rows, balanced for order and carry-over."""
 
 from __future__ import annotations
 
@@ -12,8 +12,8 @@ if TYPE_CHECKING:
 def williams_rows(count: int) -> list[list[int]]:
     """Returns orders of ``count`` treatments that are balanced for first-order carry-over.
 
-    Williams (1949): each treatment stands once in each place, and follows each other one equally
-    often. ``count`` rows, twice as many for an odd count.
+    Williams (1949): each treatment occurs equally often in each place, and follows every other one
+    equally often. There are ``count`` rows, twice as many for an odd count.
 
     Examples:
         >>> williams_rows(4)
@@ -29,17 +29,17 @@ def williams_rows(count: int) -> list[list[int]]:
 def assignments(
     place: int, agents: Sequence[str], goals: Sequence[int], sessions: int, seed: str
 ) -> list[tuple[str, int]]:
-    """Returns agent and goal of each session of the person in a place of the design.
+    """Returns the agent and goal of each session of the participant in a place of the design.
 
     Places run through blocks; a block has every Williams row once, in random order. With
-    more sessions than agents, rows follow each other. No goal comes twice.
+    more sessions than agents, further rows follow. No goal occurs twice.
 
     Args:
-        place: from 0.
-        agents: their names.
+        place: the place, from 0.
+        agents: the agents' names.
         goals: numbers of the goals, at least as many as sessions.
         sessions: a multiple of the number of agents.
-        seed: of everything random in it.
+        seed: the random seed.
     """
     rows = williams_rows(len(agents))
     block, within = divmod(place, len(rows))

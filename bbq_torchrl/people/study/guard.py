@@ -1,4 +1,4 @@
-"""Checks of every request before the pages see it, and the headers of every answer."""
+"""Checks of every request before the pages see it, and the headers of every response."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.study.address import Address
 
 MAX_BODY = 16_384
-"""Bytes of a form; a message of the longest text in the widest letters has fewer."""
+"""Largest form in bytes; a message of the longest text in the widest letters has fewer."""
 
 BODY_SECONDS = 10.0
-"""In which a form must have arrived."""
+"""The time in which a form must arrive."""
 
 HEADERS = {
     "content-security-policy": (
@@ -35,7 +35,7 @@ HEADERS = {
     ),
     "x-content-type-options": "nosniff",
     "x-frame-options": "DENY",
-    # The links are secrets; and with "no-referrer" browsers would post from the origin "null".
+    # The links are secret; with "no-referrer", browsers would post from the origin "null".
     "referrer-policy": "same-origin",
     "cross-origin-opener-policy": "same-origin",
     "cache-control": "no-store",
@@ -53,8 +53,8 @@ class Guard:
 
     Args:
         app: the application that answers.
-        page: makes a page of a status and a sentence.
-        address: the study's.
+        page: makes a page from a status and a sentence.
+        address: the study's address.
     """
 
     def __init__(
@@ -81,21 +81,21 @@ class Guard:
         if scope["method"] not in ("GET", "HEAD"):
             try:
                 request = Request(scope, receive)
-                body = await _body(request)  # first: who is still sending reads no answer
+                body = await _body(request)  # first: a client still sending reads no response
                 self._check_origin(request)
                 scope.setdefault("state", {})["form"] = _fields(request, body)
             except ClientDisconnect:
-                return  # half a form: nobody reads an answer
+                return  # half a form: nobody reads a response
             except RefusedError as error:
                 app = self._page(error.status, str(error))
                 app.headers["connection"] = "close"
         await app(scope, receive, send_with_headers)
 
     def _check_origin(self, request: Request) -> None:
-        """Refuses a form of another site.
+        """Refuses a form from another site.
 
         Raises:
-            RefusedError: it is one.
+            RefusedError: it is from another site.
         """
         origin, host = request.headers.get("origin"), request.headers.get("host")
         if origin is None or self._address.is_own(origin, host):
@@ -114,7 +114,7 @@ def _fields(request: Request, body: bytes) -> dict[str, str]:
     """Returns the fields of a form.
 
     Raises:
-        RefusedError: it is no form.
+        RefusedError: it is not a form.
     """
     kind = request.headers.get("content-type", "").partition(";")[0].strip().lower()
     if kind != "application/x-www-form-urlencoded":
@@ -126,7 +126,7 @@ async def _body(request: Request) -> bytes:
     """Returns the body of a request.
 
     Raises:
-        ClientDisconnect: it has not arrived.
+        ClientDisconnect: the client disconnected before it arrived.
         RefusedError: it is too large or too slow.
     """
     body, size = b"", 0
@@ -135,7 +135,7 @@ async def _body(request: Request) -> bytes:
         nonlocal body, size
         async for chunk in request.stream():
             size += len(chunk)
-            if size <= MAX_BODY:  # the rest is read and dropped
+            if size <= MAX_BODY:  # the rest is read and discarded
                 body += chunk
 
     try:

@@ -1,4 +1,4 @@
-"""A study's data: exports without what tells who took part, backups, and forgetting a person."""
+"""A study's data: pseudonymous exports, backups, and forgetting a participant."""
 
 from __future__ import annotations
 
@@ -60,13 +60,13 @@ _REPLACED = (
 def export(folder: Path, results: Results) -> None:
     """Writes ``sessions.csv``, ``exchanges.csv`` and ``sessions.jsonl``.
 
-    People are ``P1``, ``P2``, ...; times are seconds since a session's first answer. In CSV files
-    a text that a spreadsheet would run gets an apostrophe in front; JSON lines have it as it is.
-    They begin with a byte order mark: without it Excel takes UTF-8 for another encoding.
+    Participants are ``P1``, ``P2``, ...; times are seconds since a session's first answer. In CSV
+    files an apostrophe precedes a text that a spreadsheet would run; JSON lines have it unchanged.
+    CSV files begin with a byte order mark: without it Excel takes UTF-8 for another encoding.
 
     Args:
-        folder: where to.
-        results: the study's.
+        folder: the output folder.
+        results: the study's results.
     """
     head = ("session", "person", "position", "agent", "goal", "ended_by", "success", "reasons")
     rows = [
@@ -100,16 +100,16 @@ _PARTICIPANTS = f"""
 
 
 def export_participants(file: Path, data: Path) -> int:
-    """Writes who takes part, by the ids of the join link, and how far they are: to pay them.
+    """Writes participants' ids from the join link and their progress, for payment.
 
-    It tells who is behind the names of a report, so it is a file apart from it.
+    The file identifies the participants in a report, so it is separate from the report.
 
     Args:
         file: the CSV file.
         data: the study's SQLite file.
 
     Returns:
-        How many people it has.
+        The number of participants in it.
 
     Raises:
         StoreError: the study's file cannot be read.
@@ -119,7 +119,7 @@ def export_participants(file: Path, data: Path) -> int:
         people = connection.execute(_PARTICIPANTS).fetchall()
     names = report_names([(number, token) for number, token, *_ in people])
     ids = [json.loads(stored or "{}") for _, _, stored, *_ in people]
-    # The study file may have named others before.
+    # The study file may have named other parameters before.
     parameters = dict.fromkeys(
         [*Terms.of(terms).join_parameters, *(key for one in ids for key in one)]
     )
@@ -143,9 +143,9 @@ def _utc(seconds: float) -> str:
 
 
 def without_names(text: str) -> str:
-    """Returns a text with addresses, long numbers and names that are given as such replaced.
+    """Returns a text with addresses, long numbers and names introduced as such replaced.
 
-    What people write otherwise of themselves stays: read texts before you publish them.
+    Other personal information stays: read texts before you publish them.
 
     Examples:
         >>> without_names("My name is Ann Lee, ann@example.org or 555-123-4567")
@@ -157,7 +157,7 @@ def without_names(text: str) -> str:
 
 
 def defused(cell: Any) -> Any:
-    """Returns a cell that no spreadsheet takes for a formula.
+    """Returns a cell that no spreadsheet reads as a formula.
 
     Examples:
         >>> defused("=cmd()"), defused(-3)
@@ -201,7 +201,7 @@ def _lines(results: Results) -> Iterable[str]:
                 frame["informs"] = {
                     slot: without_names(value) for slot, value in frame["informs"].items()
                 }
-            del said["state"], said["nonce"]  # the talker's own may repeat texts
+            del said["state"], said["nonce"]  # the talker's state may repeat texts
         del content["messages"]
         line = {**content, "simulated": results.simulated}
         yield json.dumps(line, ensure_ascii=False) + "\n"
@@ -212,14 +212,14 @@ _LINK = re.compile(r".*/p/([\w-]+)/?", re.ASCII)
 
 
 def backup(data: Path, target: Path) -> None:
-    """Copies a study's file as it is at one moment. The copy is one file, for its owner alone.
+    """Copies a snapshot of a study's file. The copy is one file, private to its owner.
 
     Args:
         data: the SQLite file.
         target: the copy, which must not exist.
 
     Raises:
-        StoreError: the file cannot be read, or the copy cannot be made there.
+        StoreError: the file cannot be read, or the copy cannot be created there.
     """
     kept = [data, *(data.with_name(data.name + end) for end in (*SIDE_FILES, ".lock"))]
     if target.resolve() in [path.resolve() for path in kept]:
@@ -229,7 +229,7 @@ def backup(data: Path, target: Path) -> None:
     if not target.parent.is_dir():
         raise StoreError(target, "its folder does not exist")
     temporary = target.with_name(f".{target.name}.new")
-    temporary.unlink(missing_ok=True)  # what a killed process left
+    temporary.unlink(missing_ok=True)  # left by a killed process
     try:
         make_private(temporary)
         with (
@@ -245,20 +245,20 @@ def backup(data: Path, target: Path) -> None:
 
 
 def forget(data: Path, participant: str) -> int:
-    """Deletes all of a person: conversations, ratings, times, ids and link; their place is free.
+    """Deletes a participant's conversations, ratings, times, ids and link, and frees their place.
 
-    Only their number is kept, so that nobody else gets it. Who is forgotten already may be
-    forgotten again.
+    Only the number is kept, so that nobody else gets it. Forgetting a participant again is
+    allowed.
 
     Args:
         data: the SQLite file.
-        participant: the number on the researcher's page, or the person's link.
+        participant: the number on the researcher's page, or the participant's link.
 
     Returns:
-        The person's number.
+        The participant's number.
 
     Raises:
-        StoreError: the file cannot be used, or nobody is that.
+        StoreError: the file cannot be used, or has no such participant.
         StudyError: ``participant`` is neither number nor link.
     """
     link = _LINK.fullmatch(participant)

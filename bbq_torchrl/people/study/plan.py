@@ -1,4 +1,4 @@
-"""The study file: what a study is about, who is compared and what people do; all checked."""
+"""The study file: a study's domain, agents and tasks, all checked."""
 
 from __future__ import annotations
 
@@ -37,12 +37,12 @@ _DEFAULTS: dict[str, Any] = {
     "ask_below": {},
     "control": {},
 }
-"""Without ``sessions``: one with each agent."""
+"""The default of ``sessions``, one with each agent, is not among them."""
 _QUOTED = "yes, no, numbers and dates in quotes"
-"""Since YAML reads them as something else."""
+"""Without quotes, YAML reads them as something else."""
 _RECRUITING = ("join_parameters", "completion_code", "completion_url")
 MAY_CHANGE = ("participants", "joins_per_minute", "url", *_RECRUITING)
-"""Keys that may change after the first person; the others are declared before."""
+"""Keys that may change after the first participant joins; the others are fixed by then."""
 _PARAMETER = re.compile(r"[A-Za-z_][\w-]{0,63}", re.ASCII)
 _LONGEST_CODE = 200
 _HTTPS = re.compile(r"https://[\w.-]+(:\d{1,5})?([/?#][!-~]*)?", re.ASCII)
@@ -50,35 +50,34 @@ _REQUIRED = ("name", "consent", "agents", "pairs", "participants")
 
 
 class StudyError(FaultsError):
-    """A study file, or a study's data, that cannot be used."""
+    """A study file or study data that cannot be used."""
 
 
 @dataclass(frozen=True)
 class Terms:
-    """The terms of a study, declared before its first person.
+    """The terms of a study, declared before its first participant.
 
     Attributes:
-        name: of the study, shown as the pages' heading.
-        consent: what people agree to, paragraphs separated by blank lines.
-        agents: name to source: whatever the talker loads the agent from.
-        pairs: the comparisons declared: the first agent is the one expected to be better.
-        participants: how many people are wanted.
+        name: the study's name, shown as the pages' heading.
+        consent: the consent text, with paragraphs separated by blank lines.
+        agents: name to source, from which the talker loads the agent.
+        pairs: the declared comparisons; the first agent of each is expected to be better.
+        participants: the number of participants wanted.
         domain: ``movie``, or a domain's folder.
-        sessions: of each person, a multiple of the number of agents.
-        goals: numbers of the domain's goals, from 1, that goal cards are drawn from.
-        max_turns: messages of a person in a conversation.
-        idle_minutes: after which an unfinished place is given to somebody else.
-        joins_per_minute: how many people may join in a minute.
-        retention: how long the data are kept, as the consent page says it; empty where it does not.
-        url: where people reach the study; empty for the server's own address.
-        join_parameters: names of parameters of the join link that are stored with a person; the
-            first one tells who it is.
-        completion_code: code that people get at the end; empty for none.
-        completion_url: link that people get at the end; empty for none.
-        ask_below: name to the confidence below which this agent asks people again, between 0
-            (never) and 1; the others as their language layer does.
-        control: name to the rules of the dialogue control that hold for this agent; all rules hold
-            for the others.
+        sessions: the number of each participant's sessions, a multiple of the number of agents.
+        goals: numbers of the domain's goals, from 1, from which goal cards are drawn.
+        max_turns: the maximum number of a participant's messages in a conversation.
+        idle_minutes: minutes of silence after which an unfinished place goes to somebody else.
+        joins_per_minute: the number of people who may join in a minute.
+        retention: the retention period of the data, for the consent page; empty to omit it.
+        url: the address at which participants reach the study; empty for the server's address.
+        join_parameters: names of parameters of the join link that are stored with a participant;
+            the first one identifies them.
+        completion_code: code that participants get at the end, or empty.
+        completion_url: link that participants get at the end, or empty.
+        ask_below: name to the confidence below which the agent asks again, between 0 (never) and
+            1; the other agents use the threshold of their language layer.
+        control: name to the agent's rules of the dialogue control; the other agents have all rules.
     """
 
     name: str
@@ -106,7 +105,7 @@ class Terms:
 
     @classmethod
     def of(cls, text: str) -> Terms:
-        """Returns the terms that :meth:`text` wrote."""
+        """Returns the terms in the JSON of :meth:`text`."""
         content = json.loads(text)
         content["pairs"] = tuple((better, worse) for better, worse in content["pairs"])
         for key in ("goals", "join_parameters"):
@@ -116,12 +115,12 @@ class Terms:
 
 @dataclass(frozen=True)
 class Study:
-    """A study file that has been checked.
+    """A checked study file.
 
     Attributes:
-        path: of the file.
-        terms: what it says.
-        domain: what the conversations are about.
+        path: the study file.
+        terms: the study's terms.
+        domain: the domain of the conversations.
     """
 
     path: Path
@@ -130,12 +129,12 @@ class Study:
 
     @property
     def data(self) -> Path:
-        """The file that holds the study's data."""
+        """The file of the study's data."""
         return data_of(self.path)
 
 
 def data_of(path: Path) -> Path:
-    """Returns the file that holds the data of the study file ``path``, in the same folder."""
+    """Returns the data file of the study file ``path``, in the same folder."""
     return path.with_suffix(".sqlite")
 
 
@@ -147,7 +146,7 @@ def load_study(path: str | Path) -> Study:
 
     Raises:
         OSError: the file cannot be read.
-        StudyError: with every fault: key, value and what is allowed.
+        StudyError: if the file has faults; it lists each with key, value and what is allowed.
     """
     file = Path(expanduser(path))
     try:
@@ -215,7 +214,7 @@ def _key_faults(content: Mapping[str, Any]) -> Iterator[str]:
 
 
 def _wrong_values(given: Mapping[str, Any], agents: Mapping[str, str]) -> dict[str, str]:
-    """Returns key to sentence of each value that its key does not allow."""
+    """Returns, by key, a sentence for each value that the key does not allow."""
     allowed = {
         **_ALLOWED,
         "ask_below": _by_agent(agents, PROBABILITY.test, "numbers between 0 and 1"),
@@ -322,4 +321,4 @@ _ALLOWED = {
         lambda value: value == "" or (isinstance(value, str) and bool(_HTTPS.fullmatch(value))),
     ),
 }
-"""The values that each key allows, those of ``ask_below`` and ``control`` aside."""
+"""The values that each key allows, except for ``ask_below`` and ``control``."""

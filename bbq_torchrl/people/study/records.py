@@ -1,4 +1,4 @@
-"""Stored records of a study: people's sessions and what was said in them."""
+"""Stored records of a study: participants' sessions and their exchanges."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
 SCALES = ("overall", "naturalness", "coherence", "completion")
-"""The scales that people rate from 1 to 5; the first is the paper's one figure."""
+"""The scales that participants rate from 1 to 5; the first is the paper's only one."""
 
 LOWEST, HIGHEST = 1, 5
-"""Ratings."""
+"""The lowest and the highest rating."""
 
 
 def act_content(frame: Frame, confidence: float | None = None) -> dict[str, Any]:
-    """Returns an act as it is stored and exported, as plain data."""
+    """Returns an act as plain data, for storage and export."""
     informs, requests = dict(frame.informs), list(frame.requests)
     return {"act": frame.act, "informs": informs, "requests": requests, "confidence": confidence}
 
 
 def act_text(frame: Frame) -> str:
-    """Returns an act as transcripts and exports of a study write it.
+    """Returns an act in the notation of a study's transcripts and exports.
 
     Examples:
         >>> act_text(Frame("request", {"city": "reno"}, ("date",)))
@@ -44,19 +44,19 @@ def _read(text: str) -> tuple[Frame, float | None]:
 
 @dataclass(frozen=True)
 class StoredExchange:
-    """A person's text and the agent's answer.
+    """A participant's text and the agent's answer.
 
     Attributes:
-        number: from 1.
-        at: when it was stored, seconds since 1970.
-        text: the person's.
-        answer: the agent's.
-        heard: what was understood.
-        confidence: the nlu's confidence; ``None`` if it gives none.
+        number: the number in the session, from 1.
+        at: the time of storage, in seconds since 1970.
+        text: the participant's text.
+        answer: the agent's text.
+        heard: the act understood.
+        confidence: the nlu's confidence, or ``None``.
         said: the agent's act.
-        beliefs: the agent's, as plain data.
-        state: the talker's.
-        nonce: of the person's message.
+        beliefs: the agent's beliefs, as plain data.
+        state: the talker's state.
+        nonce: the nonce of the participant's message.
     """
 
     number: int
@@ -83,25 +83,25 @@ EXCHANGES = """
     SELECT number, at, text, answer, heard, said, beliefs, state, nonce FROM exchange
     WHERE session = ? ORDER BY number
 """
-"""Selects of a session what :meth:`StoredExchange.of` takes, first to last."""
+"""Selects the rows of a session for :meth:`StoredExchange.of`, first to last."""
 
 
 @dataclass(frozen=True)
 class Session:
-    """A conversation that a person has had, has, or is to have.
+    """A participant's past, current or future conversation.
 
     Attributes:
-        id: in the file.
-        person: number of the person.
-        position: among the person's sessions, from 1.
-        agent: its name.
+        id: the id in the file.
+        person: the participant's number.
+        position: the position among the participant's sessions, from 1.
+        agent: the agent's name.
         goal: number of the goal in the domain, from 1.
-        ended_by: ``agent``, ``person`` or ``turns``; ``None`` where it has not ended.
-        success: the judge's verdict; false where it has not ended.
-        reasons: why it was no success.
-        ratings: scale to 1 to 5; ``None`` where the person has not rated.
-        verdict: the person's own; ``None`` where they have not rated.
-        messages: how many the person has sent.
+        ended_by: ``agent``, ``person`` or ``turns``; ``None`` before the end.
+        success: the judge's verdict; false before the end.
+        reasons: the reasons for a failure.
+        ratings: scale to 1 to 5; ``None`` before the participant rates.
+        verdict: the participant's verdict; ``None`` before they rate.
+        messages: the number of messages that the participant has sent.
     """
 
     id: int
@@ -118,12 +118,12 @@ class Session:
 
     @property
     def is_ended(self) -> bool:
-        """Nothing more is said."""
+        """Whether the conversation has ended."""
         return self.ended_by is not None
 
     @property
     def is_rated(self) -> bool:
-        """The person has rated it."""
+        """Whether the participant has rated it."""
         return self.ratings is not None
 
     @classmethod
@@ -152,16 +152,16 @@ SESSIONS = f"""
            (SELECT COUNT(*) FROM exchange WHERE exchange.session = session.id), {", ".join(SCALES)}
     FROM session LEFT JOIN rating ON rating.session = session.id
 """
-"""Selects what :meth:`Session.of` takes."""
+"""Selects the rows for :meth:`Session.of`."""
 
 NOT_FORGOTTEN = "WHERE place >= 0"
-"""Of the table ``person``: the others are forgotten, and only their number is left."""
+"""Condition on the table ``person``: the others are forgotten, and only their number is left."""
 
 IS_FINISHED = """NOT EXISTS (
     SELECT 1 FROM session LEFT JOIN rating ON rating.session = session.id
     WHERE session.person = person.id AND rating.session IS NULL
 )"""
-"""Of the table ``person``: who has rated all their conversations."""
+"""Condition on the table ``person``: the participant has rated all their conversations."""
 
 TAKEN = f"""
     SELECT DISTINCT place FROM person
@@ -173,10 +173,10 @@ TAKEN = f"""
         )
     ) OR {IS_FINISHED}
 """
-"""Selects the places that nobody else gets; the times are the least of activity, and of enrollment
-where nothing was said yet."""
+"""Selects the places that nobody else gets; the parameters are the earliest times of activity and,
+if nothing has been said yet, of enrollment."""
 
 
 def current(sessions: Sequence[Session]) -> Session | None:
-    """Returns the first session that is not rated; ``None`` after a person's last."""
+    """Returns the first session that is not rated; ``None`` after a participant's last."""
     return next((session for session in sessions if not session.is_rated), None)

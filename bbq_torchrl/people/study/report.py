@@ -26,15 +26,15 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.study.statistics import Interval
 
 FIRST = 3
-"""Answers of a session whose entropy could warn in time."""
+"""The number of a session's first answers whose entropy could warn in time."""
 
 
 def write_report(folder: Path, results: Results) -> None:
     """Writes ``report.md``, ``success.png``, ``ratings.png`` and the data.
 
     Args:
-        folder: where to; it is made where it is missing.
-        results: the study's.
+        folder: the output folder, created if missing.
+        results: the study's results.
     """
     folder.mkdir(parents=True, exist_ok=True)
     export(folder, results)
@@ -143,7 +143,7 @@ def _failures(results: Results) -> Iterator[str]:
 
 
 def _counted(counts: Mapping[str, Counter[Any]], items: Sequence[object]) -> str:
-    """Returns a table of how often each agent has each item."""
+    """Returns a table of each agent's count of each item."""
     rows = [(agent, *(counter[item] for item in items)) for agent, counter in counts.items()]
     return table(("agent", *map(str, items)), rows)
 
@@ -190,7 +190,7 @@ def _uncertainty(results: Results) -> Iterator[str]:
 def _warning(
     people: Collection[Sequence[Result]], sign: Callable[[Result], float | None]
 ) -> Interval:
-    """Returns how well a sign predicts sessions that fail, where it is present."""
+    """Returns the AUROC of a sign as a predictor of failed sessions, where it is present."""
     return auroc(
         [
             [(value, not item.success) for item in sessions if (value := sign(item)) is not None]
@@ -221,12 +221,12 @@ RATINGS = ("#D55E00", "#E6A277", "#DDDDDD", "#7FB3D5", "#0072B2")  # from 1 to 5
 
 
 def draw_success(file: Path, results: Results, comparisons: Sequence[Comparison]) -> None:
-    """Draws each agent's success with its interval and number of sessions, and p of each pair.
+    """Draws each agent's success with its interval and number of sessions, and each pair's p-value.
 
     Args:
         file: a PNG file.
-        results: the study's.
-        comparisons: of the declared pairs; Holm's p is shown.
+        results: the study's results.
+        comparisons: those of the declared pairs; Holm's p-value is shown.
     """
     agents = list(results.terms.agents)
     axes = _axes(results)
@@ -253,11 +253,11 @@ def draw_success(file: Path, results: Results, comparisons: Sequence[Comparison]
 
 
 def draw_ratings(file: Path, results: Results) -> None:
-    """Draws how often each agent got each overall rating, and their mean.
+    """Draws the counts and the mean of each agent's overall ratings.
 
     Args:
         file: a PNG file.
-        results: the study's.
+        results: the study's results.
     """
     axes = _axes(results)
     for place, agent in enumerate(results.terms.agents):
@@ -280,7 +280,7 @@ def draw_ratings(file: Path, results: Results) -> None:
 
 def _axes(results: Results) -> Any:
     """Returns empty axes with a place for each agent."""
-    # The object interface: no window system, and no global state beside other figures.
+    # The object interface needs no window system and shares no global state with other figures.
     from matplotlib.figure import Figure
 
     agents = list(results.terms.agents)

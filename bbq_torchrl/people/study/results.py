@@ -28,17 +28,17 @@ Value = TypeVar("Value")
 
 @dataclass(frozen=True)
 class Result(Session):
-    """An ended session; its person is a name that tells nothing: ``P1``, ``P2``, ...
+    """An ended session; its person is an anonymous name: ``P1``, ``P2``, ...
 
     Attributes:
-        exchanges: what was said.
+        exchanges: the session's exchanges.
     """
 
     exchanges: tuple[StoredExchange, ...]
 
     @property
     def pauses(self) -> list[float]:
-        """Seconds between each answer and the person's next message being answered."""
+        """Seconds between each answer and the answer to the participant's next message."""
         times = [exchange.at for exchange in self.exchanges]
         return [later - earlier for earlier, later in pairwise(times)]
 
@@ -58,12 +58,12 @@ class Results:
     """A study's results.
 
     Attributes:
-        terms: what was declared.
-        package: the version that it is run with.
-        simulated: whether the people are simulated users.
-        enrolled: how many people were enrolled.
-        open: how many sessions were begun and have not ended.
-        sessions: the ended ones.
+        terms: the declared terms.
+        package: the version of the package that it runs with.
+        simulated: whether the participants are simulated users.
+        enrolled: the number of participants enrolled.
+        open: the number of sessions that have begun and not ended.
+        sessions: the ended sessions.
     """
 
     terms: Terms
@@ -75,17 +75,17 @@ class Results:
 
     @property
     def title(self) -> str:
-        """The study's name, which says so where its people are simulated."""
+        """The study's name, marked if its participants are simulated."""
         return f"{self.terms.name}{' (simulated users)' if self.simulated else ''}"
 
     def by_person(
         self, of: Callable[[Result], Value | None], agent: str | None = None
     ) -> dict[str, list[Value]]:
-        """Returns something of each person's sessions, where it is there.
+        """Returns values of each participant's sessions, where available.
 
         Args:
-            of: takes it of a session; ``None`` where it is not there.
-            agent: of whose sessions; all, if none is named.
+            of: returns the value of a session, or ``None``.
+            agent: the agent of the sessions; ``None`` for all agents.
         """
         found: dict[str, list[Value]] = defaultdict(list)
         for session in self.sessions:
@@ -94,15 +94,15 @@ class Results:
         return dict(found)
 
     def successes(self, agent: str) -> dict[str, list[bool]]:
-        """Returns the judge's verdicts on an agent by person."""
+        """Returns the judge's verdicts on an agent by participant."""
         return self.by_person(lambda session: session.success, agent)
 
     def ratings(self, agent: str, scale: str = "overall") -> dict[str, list[int]]:
-        """Returns an agent's ratings by person."""
+        """Returns an agent's ratings by participant."""
         return self.by_person(lambda item: item.ratings[scale] if item.ratings else None, agent)
 
     def flags(self) -> dict[str, list[str]]:
-        """Returns the flags of conspicuous people; nobody is excluded for them."""
+        """Returns the flags of conspicuous participants; nobody is excluded for them."""
         people = self.by_person(lambda session: session)
         found = {person: _flags(people[person]) for person in sorted(people, key=_number)}
         return {person: flags for person, flags in found.items() if flags}
@@ -113,7 +113,7 @@ def _number(person: str) -> int:
 
 
 FAST_SECONDS = 2.0
-"""A person who mostly answers sooner has hardly read the answer."""
+"""A participant who mostly replies sooner has hardly read the answers."""
 
 
 def _flags(sessions: Sequence[Result]) -> list[str]:
@@ -132,7 +132,7 @@ def _flags(sessions: Sequence[Result]) -> list[str]:
 
 
 def read_results(data: Path) -> Results:
-    """Returns the results in a study's file; also while it is being served.
+    """Returns the results in a study's file, even while it is being served.
 
     Args:
         data: the SQLite file.
@@ -166,10 +166,10 @@ def read_results(data: Path) -> Results:
 
 
 def report_names(people: Sequence[tuple[int, str]]) -> dict[str, str]:
-    """Returns the names in a report by number of the person; they do not tell who came when.
+    """Returns the names in a report by participant number; they do not reveal who came when.
 
     Args:
-        people: number and hash of the link of each, the forgotten ones left out.
+        people: each participant's number and link hash, without forgotten participants.
     """
     by_chance = sorted(people, key=lambda person: hashlib.sha256(person[1].encode()).digest())
     return {str(person): f"P{number}" for number, (person, _) in enumerate(by_chance, start=1)}

@@ -1,4 +1,4 @@
-"""A study with simulated users, who are enrolled, answered, judged and stored as people are."""
+"""A study with simulated users, who are enrolled, answered, judged and stored like people."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ class User(Protocol):
     """A simulated user in one conversation.
 
     Attributes:
-        satisfied: whether it has got what it wanted, as far as it knows.
+        satisfied: whether it got what it wanted, as far as it knows.
     """
 
     satisfied: bool
@@ -35,7 +35,7 @@ class User(Protocol):
 
 
 class _Clock:
-    """Tells the time that it is set to, so that a study that is played again has the same times."""
+    """A clock that is set by hand, so that a replayed study has the same times."""
 
     now = 0.0
 
@@ -53,18 +53,18 @@ def simulate(
 ) -> None:
     """Plays a study with simulated users, one after the other.
 
-    They go the way of people: consent, conversation, rating, through the same code and store. What
-    is stored already is not said again, so a simulation that was stopped continues.
+    They take the same steps as people (consent, conversation, rating) through the same code and
+    store. Stored exchanges are not repeated, so an interrupted simulation continues.
 
     Args:
-        study: whose data is next to its file.
+        study: the study; its data file is next to the study file.
         talker: the agents.
         users: makes a user from the number of its goal, from 1, and a seed.
-        seed: of the plan, the users and their ratings.
-        tell: is told how far it is.
+        seed: seed of the plan, the users and their ratings.
+        tell: called with progress messages.
 
     Raises:
-        StoreError: the study's data cannot be used, or is of people or another seed.
+        StoreError: the study's data cannot be used, or comes from people or another seed.
         ValueError: an agent cannot be loaded.
     """
     prints = {agent: talker.fingerprint(agent) for agent in study.terms.agents}
@@ -117,9 +117,9 @@ def drawn_ratings(satisfied: bool, messages: int, seed: int) -> dict[str, int]:
     """Returns a simulated user's ratings, by scale.
 
     Args:
-        satisfied: its own verdict.
-        messages: how many it has sent.
-        seed: of the noise.
+        satisfied: the user's verdict.
+        messages: the number of messages that it has sent.
+        seed: seed of the noise.
     """
     rng, middle = Random(seed), (4.5 if satisfied else 2.0) - 0.1 * max(0, messages - 5)
     return {name: min(5, max(1, round(rng.gauss(middle, 0.75)))) for name in SCALES}

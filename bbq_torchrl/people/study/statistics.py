@@ -1,6 +1,6 @@
-"""Estimates and tests of a study. The unit is the person: sessions of one person are no strangers.
+"""Estimates and tests of a study. The unit is the participant, whose sessions are not independent.
 
-scipy has the classical tests; here is what it lacks, and what must not fail where all are equal.
+scipy has the classical tests; this module adds others, and handles data that are all equal.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ class Interval:
         value: the estimate; NaN without data.
         low: lower end; NaN without an interval.
         high: upper end; NaN without an interval.
-        count: of observations.
+        count: the number of observations.
     """
 
     value: float
@@ -49,13 +49,13 @@ class Interval:
 
 
 def proportion(by_person: Collection[Sequence[bool]]) -> Interval:
-    """Returns a share of successes with its Wilson interval.
+    """Returns the share of successes with its Wilson interval.
 
-    With several sessions of a person the number of sessions is divided by the design effect, the
-    variance between people over the binomial one (at least 1).
+    If participants have several sessions, the number of sessions is divided by the design effect:
+    the variance between participants over the binomial one (at least 1).
 
     Args:
-        by_person: each person's successes and failures.
+        by_person: each participant's successes and failures.
 
     Examples:
         >>> print(proportion([[True]] * 40 + [[False]] * 26))
@@ -75,7 +75,7 @@ def _wilson(rate: float, count: float) -> tuple[float, float]:
     center = (rate + _Z**2 / (2 * count)) / shrink
     spread = rate * (1 - rate) / count + _Z**2 / (4 * count**2)
     half = _Z * math.sqrt(spread) / shrink
-    # Rounding must not put a rate of 0 or 1 outside of its interval.
+    # Rounding must not put a rate of 0 or 1 outside its interval.
     return max(0.0, min(rate, center - half)), min(1.0, max(rate, center + half))
 
 
@@ -88,15 +88,15 @@ def _design_effect(people: Sequence[Sequence[bool]], rate: float, count: int) ->
 
 
 def mean(by_person: Collection[Sequence[float]], bounds: tuple[float, float]) -> Interval:
-    """Returns the mean of people's means with its Student t interval; none for one person.
+    """Returns the mean of participants' means, with a Student t interval if there are several.
 
-    Where that interval leaves ``bounds``, or has no width as all people are alike, it is that of
-    the same people and two more, one at each bound, cut there. So Bonett and Price (2012) adjust
-    the interval of a difference of paired rates.
+    If that interval exceeds ``bounds``, or has no width because all participants are alike, two
+    participants are added, one at each bound, and the new interval is clipped to ``bounds``.
+    Bonett and Price (2012) adjust the interval of a difference of paired rates like this.
 
     Args:
-        by_person: each person's values.
-        bounds: least and largest possible value.
+        by_person: each participant's values.
+        bounds: the smallest and the largest possible value.
 
     Examples:
         >>> print(mean([[5.0], [5.0], [5.0]], (1, 5)))
@@ -122,12 +122,12 @@ def mean(by_person: Collection[Sequence[float]], bounds: tuple[float, float]) ->
 def sign_flip(differences: Sequence[Fraction]) -> float:
     """Returns the two-sided p-value of the sign-flip permutation test of a mean of 0.
 
-    Where two agents are alike, a person's difference between them is as likely as its opposite:
-    p is the share of all ways to flip people's signs that give a sum as far from 0. All ways are
-    counted; where denominators have nothing in common, 99,999 drawn ones (by scipy).
+    If two agents are alike, a participant's difference between them is as likely as its opposite:
+    p is the share of all sign flips whose sum is at least as far from 0. All sign flips are
+    counted, or 99,999 random ones (by scipy) if the denominators have too little in common.
 
     Args:
-        differences: one for each person.
+        differences: one for each participant.
 
     Examples:
         >>> from fractions import Fraction
@@ -146,7 +146,7 @@ def sign_flip(differences: Sequence[Fraction]) -> float:
             rng=np.random.default_rng(0),
         )
         return float(found.pvalue)
-    # ways[s]: probability that the people flipped to the positive side weigh s.
+    # ways[s]: probability that the weights flipped to the positive side add up to s.
     ways = np.ones(1)
     for size in sizes:
         ways = np.pad(ways, (0, size)) / 2 + np.pad(ways, (size, 0)) / 2
@@ -155,7 +155,7 @@ def sign_flip(differences: Sequence[Fraction]) -> float:
 
 
 def two_by_two(one: Sequence[int], other: Sequence[int]) -> tuple[float, float]:
-    """Returns Fisher's and Boschloo's exact p-values; both take sessions for independent."""
+    """Returns Fisher's and Boschloo's exact p-values; both treat sessions as independent."""
     table = [[sum(side), len(side) - sum(side)] for side in (one, other)]
     if not one or not other or 0 in np.sum(table, axis=0):
         return 1.0, 1.0
@@ -165,24 +165,24 @@ def two_by_two(one: Sequence[int], other: Sequence[int]) -> tuple[float, float]:
 
 
 def mann_whitney(one: Sequence[float], other: Sequence[float]) -> float:
-    """Returns the p-value of the Mann-Whitney test; it takes sessions for independent."""
+    """Returns the p-value of the Mann-Whitney test; it treats sessions as independent."""
     if not one or not other or len({*one, *other}) == 1:
         return 1.0
     return float(stats.mannwhitneyu(one, other).pvalue)
 
 
 def kappa(by_person: Sequence[Sequence[tuple[bool, bool]]], seed: int = 0) -> Interval:
-    """Returns Cohen's κ of two judges with its bootstrap interval over people.
+    """Returns Cohen's κ of two judges with its bootstrap interval over participants.
 
-    Where all resamples agree alike, the interval is Wilson's of the share on which they agree, each
-    person counted once.
+    If all resamples have the same κ, the interval is Wilson's for the share of equal verdicts, with
+    each participant counted once.
 
     Args:
-        by_person: each person's pairs of verdicts.
-        seed: of the bootstrap.
+        by_person: each participant's pairs of verdicts.
+        seed: seed of the bootstrap.
 
     Returns:
-        NaN where all verdicts are the same: nothing could be agreed on beyond chance.
+        The estimate; NaN if all verdicts are the same, which leaves no agreement beyond chance.
     """
     tables = np.array([_agreement(person) for person in by_person], dtype=float).reshape(-1, 2, 2)
     count = int(tables.sum())
@@ -210,7 +210,7 @@ def _kappa(tables: np.ndarray) -> np.ndarray:
 
 
 def _agreed_and_chance(tables: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Returns the share of verdicts that agree, and that by chance, shapes [*tables]."""
+    """Returns the share of verdicts that agree, and the share by chance, shapes [*tables]."""
     count = tables.sum((-2, -1))
     agreed = (tables[..., 0, 0] + tables[..., 1, 1]) / count
     return agreed, (tables.sum(-1) * tables.sum(-2)).sum(-1) / count**2
@@ -219,15 +219,16 @@ def _agreed_and_chance(tables: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
 def auroc(by_person: Sequence[Sequence[tuple[float, bool]]], seed: int = 0) -> Interval:
     """Returns the probability that a failure scores higher than a success, ties counting half.
 
-    Where all resamples are ordered alike, as those of a few sessions that the score tells apart
-    are, the interval is Newcombe's, each person counted once.
+    If all resamples give the same value, such as those of a few sessions that the score separates,
+    the interval is Newcombe's, with each participant counted once.
 
     Args:
-        by_person: each person's sessions, with score and whether they failed.
-        seed: of the bootstrap.
+        by_person: each participant's sessions, with score and whether they failed.
+        seed: seed of the bootstrap.
 
     Returns:
-        With its bootstrap interval over people; NaN where there are no failures or no successes.
+        The estimate with its bootstrap interval over participants; NaN without failures or without
+        successes.
     """
     people = len(by_person)
     rows = [(*pair, who) for who, pairs in enumerate(by_person) for pair in pairs]
@@ -240,7 +241,7 @@ def auroc(by_person: Sequence[Sequence[tuple[float, bool]]], seed: int = 0) -> I
     value = float(wins.mean())
     if people < 2:
         return Interval(value, math.nan, math.nan, len(rows))
-    # How often the bootstrap draws each person: a draw counts each pair of sessions so often.
+    # The bootstrap's counts of each participant, which weight the pairs of sessions.
     drawn = np.random.default_rng(seed).multinomial(people, [1 / people] * people, _BOOTSTRAPS)
     of_high, of_low = (drawn[:, [who for _, who in side]] for side in (high, low))
     with np.errstate(invalid="ignore"):
@@ -253,9 +254,9 @@ def auroc(by_person: Sequence[Sequence[tuple[float, bool]]], seed: int = 0) -> I
 
 
 def _newcombe(area: float, failures: float, successes: float) -> tuple[float, float]:
-    """Returns the interval of an AUROC by method 5 of Newcombe (2006), as Wilson's of a rate.
+    """Returns the interval of an AUROC by method 5 of Newcombe (2006), like Wilson's of a rate.
 
-    Its ends are the areas of which the one found is just 1.96 standard errors away, these by
+    The estimate is 1.96 standard errors from each end. The standard error is that of the end, by
     Hanley and McNeil (1982).
     """
     more = max(0.0, (failures + successes) / 2 - 1)
@@ -265,7 +266,7 @@ def _newcombe(area: float, failures: float, successes: float) -> tuple[float, fl
         variance = end * (1 - end) * (1 + more * either) / (failures * successes)
         return (area - end) ** 2 - _Z**2 * variance
 
-    # At 0 and 1 the error is 0, so that these would be found as ends of themselves.
+    # At 0 and 1 the standard error is 0, so they would be found as their own ends.
     low = optimize.brentq(beyond, 0.0, min(area, 1 - _ROUNDING)) if area > _ROUNDING else 0.0
     high = optimize.brentq(beyond, max(area, _ROUNDING), 1.0) if area < 1 - _ROUNDING else 1.0
     return low, high

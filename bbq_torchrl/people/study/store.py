@@ -1,4 +1,4 @@
-"""Stores a study: who takes part, what is said, how it ends and how it is rated."""
+"""The store of a study: participants, exchanges, outcomes and ratings."""
 
 from __future__ import annotations
 
@@ -37,32 +37,32 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.dialogue import Reply
 
 SILENT_SECONDS = 600.0
-"""After which somebody else may have the place of who joined and said nothing."""
+"""The time after which the place of a participant who has said nothing is free again."""
 
 
 class JoinRateError(RuntimeError):
-    """More people want to join than may in a minute."""
+    """More people join than are allowed in a minute."""
 
 
 class ForgottenError(RuntimeError):
-    """The person whose words are to be stored has been forgotten."""
+    """The participant whose step is to be stored has been forgotten."""
 
 
 class Store:
     """The data of a study, in one SQLite file, written by one thread at a time.
 
-    Whatever a method has written is on the disk when it returns.
+    When a method returns, its changes are on the disk.
 
     Args:
-        path: of the file.
-        terms: the study's.
-        fingerprints: each agent's, by name.
-        simulated: whether the people are simulated users.
-        secret: of the plan and the links; drawn unless given.
-        clock: tells the time, in seconds since 1970.
+        path: the data file.
+        terms: the study's terms.
+        fingerprints: the agents' fingerprints by name.
+        simulated: whether the participants are simulated users.
+        secret: the secret of the plan and the links; drawn unless given.
+        clock: returns the time, in seconds since 1970.
 
     Raises:
-        StoreError: the file cannot be used, or holds a study of other terms, agents or version.
+        StoreError: the file cannot be used, or has a study of other terms, agents or version.
     """
 
     def __init__(
@@ -121,7 +121,7 @@ class Store:
         return str(found[2])
 
     def key(self, purpose: str) -> str:
-        """Returns an unguessable word that is the same each time: of a link, say."""
+        """Returns an unguessable word that is the same each time, such as that of a link."""
         digest = hmac.digest(self._secret.encode(), purpose.encode(), "sha256")
         return urlsafe_b64encode(digest[:24]).decode()
 
@@ -148,25 +148,25 @@ class Store:
             return self._connection.execute(query, values).fetchall()
 
     def close(self) -> None:
-        """Closes the file and lets other servers have it."""
+        """Closes the file and releases it to other servers."""
         with self._mutex:
             self._opened.close()
 
     # -- people ------------------------------------------------------------------------------------
 
     def enroll(self, nonce: str, ids: Mapping[str, str] | None = None) -> str | None:
-        """Gives somebody a place in the design. Returns their token, ``None`` where all are taken.
+        """Gives a participant a place. Returns their token, or ``None`` if all places are taken.
 
-        A place is free until somebody has it, and again when they have left it unfinished, after
-        ten minutes if they have said nothing: the lowest goes first.
+        The lowest free place is taken first. A place is free again if its participant has left it
+        unfinished, after ten minutes if they have said nothing.
 
         Args:
-            nonce: of the form; the same one gets the same token.
-            ids: name to value of what the join link says of the person. If there are any, the first
-                value is who it is, and the same one gets the same token.
+            nonce: the nonce of the form; the same one gets the same token.
+            ids: the stored parameters of the join link, name to value. The first value, if any,
+                identifies the participant: the same one gets the same token.
 
         Raises:
-            JoinRateError: more people want to join than may in a minute.
+            JoinRateError: more people join than are allowed in a minute.
         """
         participant = next(iter(ids.values())) if ids else None
         token = self.key(f"person {nonce}" if participant is None else f"participant {participant}")
@@ -180,7 +180,7 @@ class Store:
             free = (place for place in range(self._terms.participants) if place not in taken)
             if (place := next(free, None)) is None:
                 return None
-            # Up to now: after a clock was set back, nobody is of the last minute.
+            # Up to now: if the clock was set back, later times do not count.
             recent = "SELECT COUNT(*) FROM person WHERE enrolled > ? AND enrolled <= ?"
             [joined] = connection.execute(recent, (now - 60, now)).fetchone()
             if joined >= self._terms.joins_per_minute:
@@ -203,7 +203,7 @@ class Store:
         return token
 
     def sessions(self, token: str) -> list[Session]:
-        """Returns the sessions of the person who has the token, none if nobody has."""
+        """Returns the sessions of the participant with the token; empty if nobody has it."""
         whose = "WHERE person = (SELECT id FROM person WHERE token = ?) ORDER BY position"
         return list(map(Session.of, self.rows(f"{SESSIONS} {whose}", hashed(token))))
 
@@ -225,15 +225,15 @@ class Store:
         reply: Reply,
         end: tuple[str, tuple[str, ...]] | None,
     ) -> None:
-        """Stores both turns of an exchange and, where they are the last, the end.
+        """Stores both turns of an exchange and, if they are the last, the end.
 
         Args:
-            session: in which it was said.
-            number: of the exchange, from 1.
-            nonce: of the message.
-            text: the person's.
-            reply: the agent's.
-            end: who or what ended the conversation, and why it was no success; ``None`` if it
+            session: the session of the exchange.
+            number: the number of the exchange, from 1.
+            nonce: the nonce of the message.
+            text: the participant's text.
+            reply: the agent's reply.
+            end: the ``ended_by`` of the conversation, and the reasons for a failure; ``None`` if it
                 continues.
         """
         beliefs = None if reply.beliefs is None else json.dumps(asdict(reply.beliefs))
@@ -251,16 +251,16 @@ class Store:
                 _end(connection, session.id, now, *end)
 
     def end(self, session: Session, ended_by: str, reasons: tuple[str, ...]) -> None:
-        """Stores that a conversation has ended and why it was no success; nothing if it had."""
+        """Stores the end of a conversation and the reasons for a failure, unless it had ended."""
         with self._step(session) as (connection, now):
             _end(connection, session.id, now, ended_by, reasons)
 
     @contextmanager
     def _step(self, session: Session) -> Iterator[tuple[sqlite3.Connection, float]]:
-        """Runs a block as one transaction, at the time of which the person is at work.
+        """Runs a block as one transaction and stores its time as the participant's activity.
 
         Raises:
-            ForgottenError: the person is forgotten; another's session may have the id by now.
+            ForgottenError: the participant is forgotten; another's session may have the id by now.
         """
         with self.transaction() as connection:
             now, whose = self._clock(), (session.id, session.person)
@@ -278,7 +278,7 @@ class Store:
         return rows[0][0] if rows else None
 
     def rate(self, session: Session, nonce: str, scales: Mapping[str, int], verdict: bool) -> None:
-        """Stores a person's ratings (see :data:`SCALES`) and own verdict."""
+        """Stores a participant's ratings (see :data:`SCALES`) and verdict."""
         with self._step(session) as (connection, now):
             connection.execute(
                 "INSERT INTO rating VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
@@ -291,7 +291,7 @@ class Store:
         """Returns the progress of the study.
 
         Returns:
-            How many people there are, by ``wanted``, ``enrolled``, ``finished``, ``active`` and
+            The number of people, by ``wanted``, ``enrolled``, ``finished``, ``active`` and
             ``left``; and all sessions.
         """
         rows = self.rows(f"{SESSIONS} ORDER BY person, position")
@@ -329,14 +329,14 @@ def _end(
 
 
 def hashed(token: str) -> str:
-    """Returns the hash of a token, which is stored in its place: the file reveals no link."""
+    """Returns the hash of a token, which is stored instead: the file reveals no link."""
     return hashlib.sha256(token.encode()).hexdigest()
 
 
 def _changed(old: Terms, new: Terms) -> list[str]:
     """Returns the differences beyond the keys that may change."""
     same = asdict(replace(new, **{key: getattr(old, key) for key in MAY_CHANGE}))
-    # As text: the order of the agents counts too.
+    # As text: the order of the agents matters too.
     return [
         f"the study file says another {key} than at the start"
         for key, value in asdict(old).items()

@@ -1,4 +1,4 @@
-"""The simulator's users as people of a study: they read acts, and say theirs in sentences."""
+"""The simulator's users as participants in a study: they read acts and speak in sentences."""
 
 from __future__ import annotations
 
@@ -24,17 +24,17 @@ _MULTIPLE_CHOICE = "multiple_choice"
 
 
 class SimulatedUser:
-    """A user of the simulator in one conversation, in sentences.
+    """A user of the simulator that speaks in sentences, in one conversation.
 
-    It knows what it means and what the agent does, but not what was understood of it. Asked again,
-    it says the same in other words, or the one value that was asked for.
+    It knows what it means and what the agent does, but not what the agent understood. When asked
+    again, it repeats itself in other words, or says only the value asked for.
 
     Args:
-        simulator: without errors, all of whose slots are active.
-        speak: who says what it means.
+        simulator: a simulator without errors, with all slots active.
+        speak: the generator of its sentences.
         goal: number of its goal, from 1.
-        seed: of its choices and its words.
-        spelled: returns what an agent tells in the spelling of the simulator's domain.
+        seed: seed of its choices and its words.
+        spelled: returns an agent's values in the spelling of the simulator's domain.
     """
 
     def __init__(
@@ -51,7 +51,7 @@ class SimulatedUser:
         self._random = torch.Generator().manual_seed(seed)
         draws = simulator.draw_reset((), self._random)
         goals = len(simulator.domain.goal_constraints)
-        draws["goal"] = torch.tensor((goal - 0.5) / goals)  # what draws this goal
+        draws["goal"] = torch.tensor((goal - 0.5) / goals)  # the number that draws this goal
         n_slots = simulator.domain.n_slots
         self._state = simulator.reset(draws, torch.ones(n_slots, dtype=torch.bool))
         self._texts = 0
@@ -59,7 +59,7 @@ class SimulatedUser:
 
     @property
     def satisfied(self) -> bool:
-        """The last offer had all wishes, and nothing is unanswered or without a match."""
+        """Whether the last offer met the goal, and nothing is unanswered or without a match."""
         state, ticket = self._state, self._simulator.domain.ticket
         is_left = state["pending"] | state["agenda"]
         is_left[ticket] = False
@@ -91,7 +91,7 @@ class SimulatedUser:
     def _reply(self, said: Frame) -> None:
         state, simulator = self._state, self._simulator
         agent = self._turn(said)
-        # What it waits for may be told in an offer, or before a question.
+        # The agent may answer pending requests in an offer, or before a question.
         told = state["pending"] & (agent.informs >= FIRST_VALUE) & ~agent.is_slot
         state = state.replace(
             history=torch.where(told, agent.informs, state["history"]),
@@ -99,13 +99,13 @@ class SimulatedUser:
             agenda=state["agenda"] & ~told,
         )
         draws = simulator.draw_turn((), self._random)
-        # A booking repeats what the agent holds: the user sees no more of it.
+        # A booking repeats the values held, which is all that the user sees of them.
         state = state.replace(held=agent.informs, user_informs=state["meant_informs"])
         reply = simulator.user.reply(state, agent, torch.tensor(False), draws)
         self._state = state.replace(**reply)
 
     def _turn(self, said: Frame) -> AgentTurn:
-        """Returns an agent's act as the tracker completes it; an offer of values is a question."""
+        """Returns an agent's act as the tracker completes it; an offer of values is a request."""
         domain, coding = self._simulator.domain, self._coding
         informs = torch.tensor(coding.ids(self._spelled(said.informs)))
         is_booking = coding.slots[domain.complete] in said.informs

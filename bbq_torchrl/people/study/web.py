@@ -1,4 +1,4 @@
-"""The study as a web application: plain forms, a page for each step, one link for each person."""
+"""The study as a web application: plain forms, a page per step, a link per participant."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ JOIN, RESEARCHER = "join", "researcher"
 """The purposes of the keys in the two links that :meth:`Store.key` makes."""
 
 _ID = re.compile("[0-9]{1,18}")
-"""A session's number; more digits do not fit into an integer of SQLite."""
+"""A session's number; more digits do not fit into an SQLite integer."""
 
 MAX_LISTED = 1_000
 MAX_BARS = 12
@@ -68,13 +68,13 @@ def application(study: Study, store: Store, talker: Talker) -> Starlette:
     """Returns the web application of a study.
 
     Args:
-        study: what is asked of people.
-        store: where it is stored.
+        study: the study.
+        store: the study's store.
         talker: the agents.
     """
     address = Address.of(study.terms.url) if study.terms.url else Address()
     pages = _Pages(study, store, talker, address.prefix)
-    # Pages are no coroutines: Starlette makes each in a thread.
+    # Pages are not coroutines: Starlette runs each in a thread.
     routes = [
         Route("/join/{key}", pages.consent),
         Route("/join/{key}", pages.enroll, methods=["POST"]),
@@ -91,7 +91,7 @@ def application(study: Study, store: Store, talker: Talker) -> Starlette:
     }
     guard = Middleware(Guard, page=pages.message, address=address)
     app = Starlette(routes=routes, middleware=[guard], exception_handlers=handlers)
-    app.router.redirect_slashes = False  # its redirects know neither prefix nor HTTPS
+    app.router.redirect_slashes = False  # its redirects ignore prefix and HTTPS
     return app
 
 
@@ -113,7 +113,7 @@ class _Pages:
         return self._consent(HTTPStatus.OK, "")
 
     def enroll(self, request: Request) -> Response:
-        """Gives a person their link."""
+        """Gives a participant their link."""
         self._check(request, JOIN)
         ids = self._ids(request)
         try:
@@ -123,7 +123,7 @@ class _Pages:
         return self._to(token)
 
     def now(self, request: Request) -> Response:
-        """Shows the next step of a person."""
+        """Shows a participant's next step."""
         return self._page(self._token(request))
 
     def step(self, request: Request) -> Response:
@@ -160,14 +160,14 @@ class _Pages:
         *,
         keep_nonce: bool = False,
     ) -> Response:
-        """Returns the page of what the person does next."""
+        """Returns the page of the participant's next step."""
         sessions, form = self._store.sessions(token), form or {}
         if not sessions:  # forgotten by now
             raise HTTPException(HTTPStatus.NOT_FOUND)
         if (session := current(sessions)) is None:
             code, url = self._study.terms.completion_code, self._study.terms.completion_url
             return self._html("done", status, problem=problem, code=code, url=url)
-        # A text that was refused is kept, one of an earlier conversation is not.
+        # A refused text is kept, unless it is from an earlier conversation.
         given = form if form.get("session") == str(session.position) else {}
         return self._html(
             "rate" if session.is_ended else "talk",
@@ -185,7 +185,7 @@ class _Pages:
         )
 
     def _token(self, request: Request) -> str:
-        """Returns the token of somebody who takes part."""
+        """Returns a participant's token."""
         token: str = request.path_params["token"]
         if not self._store.sessions(token):
             raise HTTPException(HTTPStatus.NOT_FOUND)
@@ -231,7 +231,7 @@ class _Pages:
         return self._html("message", status, text=text)
 
     def no_page(self, request: Request, error: HTTPException) -> Response:
-        """Returns the same page for any link that is wrong or guessed."""
+        """Returns the same page for any wrong or guessed link."""
         status = HTTPStatus(error.status_code)
         if status == HTTPStatus.NOT_FOUND:
             return self.message(status, "There is no page here. Please check your link.")
