@@ -106,7 +106,7 @@ def _parser() -> argparse.ArgumentParser:
     power = add("power", _power, "how likely a study finds a difference")
     power.add_argument("better", type=between(float, 0.001, 0.999), help="success of one agent")
     power.add_argument("worse", type=between(float, 0.001, 0.999), help="success of the other")
-    power.add_argument("people", type=between(int, 1, 100_000), help="people, each of whom meets both")
+    power.add_argument("people", type=between(int, 1, 100_000), help="people; each meets both")
     power.add_argument(
         "--sessions", type=between(int, 1, 50), default=1, help="of a person with each agent"
     )
