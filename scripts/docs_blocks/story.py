@@ -6,7 +6,7 @@ from statistics import fmean
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.evaluation import pairs, table1
-from scripts.docs_blocks.common import block, table
+from scripts.docs_blocks.common import block, code, read_csv, table
 from scripts.docs_blocks.results import groups
 from scripts.docs_blocks.tables import measured
 
@@ -76,6 +76,17 @@ def _early() -> str:
     )
 
 
+def _most_unspiked() -> tuple[str, int, int, int]:
+    """Returns the agent that learns unspiked in most seeds, how many, of how many, in how long."""
+    seeds: dict[str, list[dict[str, str]]] = {}
+    for row in read_csv("unspiked.csv"):
+        if row["domain"] == "movie":
+            seeds.setdefault(row["agent"], []).append(row)
+    reached = {agent: sum(bool(row["to_0.3"]) for row in rows) for agent, rows in seeds.items()}
+    best = max(reached, key=reached.__getitem__)
+    return best, reached[best], len(seeds[best]), int(seeds[best][0]["dialogues"])
+
+
 @block("results.story")
 def _story() -> str:
     """Returns the claims as Markdown, contradictions of the paper or of us first."""
@@ -101,6 +112,7 @@ def _story() -> str:
         group.round_dialogues * group.first.rounds * len(group.final)
         for group in groups("no_spike")
     )
+    agent, most, seeds, dialogues = _most_unspiked()
     rows = [
         (
             "BBQN is ahead from the first dialogue",
@@ -139,9 +151,10 @@ def _story() -> str:
         ),
         (
             "Nobody learns without spiking",
-            f"BBQN-MAP and DQN by ε: no success in {unspiked:,} dialogues, where uniformly random "
-            "actions succeed in one of 2,000. Agents that act more at random were not run",
-            "open",
+            f"BBQN-MAP and DQN by ε .04: no success in {unspiked:,} dialogues, where uniformly "
+            f"random actions succeed in one of 2,000; with more random actions {most} of {seeds} "
+            f"seeds of {code(agent)} reach .3 in training within {dialogues:,} dialogues",
+            "no" if most else "not shown",
         ),
     ]
     return table(("claim", "figure", "verdict"), rows)
