@@ -46,6 +46,7 @@ _BOUNDS = [
     if text.startswith(("no", "after", "before"))
 ]
 _QUANTITY_WORDS = DAY_WORDS | MONTH_WORDS | NUMBER_WORDS | ORDINAL_WORDS | PART_WORDS
+_ENDING = ("thanks", "closing")
 _PLACES = frozenset("in within around at near".split())
 _LIKELY = 0.85
 _LEAST = 0.4
@@ -189,8 +190,8 @@ def _missed(
     tags = list(reading.tags)
     spans = spans_of(tags)
     named = {slot for slot, start, end in spans if not is_denied(words, start, end)}
-    is_inform = lexicon.domain.acts[int(reading.acts.argmax())] == "inform"
-    is_empty = is_inform and not spans and reading.dont_care.max() < _FAINT
+    act = lexicon.domain.acts[int(reading.acts.argmax())]
+    is_empty = act == "inform" and not spans and reading.dont_care.max() < _FAINT
     maybe = 1.1 if is_empty else _MAYBE  # an inform must name something
     for size in range(min(LONGEST, len(words)), 0, -1):
         for start in range(len(words) - size + 1):
@@ -210,6 +211,8 @@ def _missed(
             )
             ends = not CLAUSE.split(" ".join(words[end:]))[0].strip()
             least = maybe if not is_short else _LIKELY if ends else 0.0  # "md", but not "if"
+            if size > 1 and act in _ENDING:
+                least = 1.1  # "clean theater thats all" must not end a conversation
             is_doubtful = max(reading.each_chance[start:end]) < least and not is_polite
             if denied or ((is_doubtful or is_about) and slot not in named):
                 found.append(Span(slot, start, end))

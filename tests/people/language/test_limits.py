@@ -317,3 +317,11 @@ def test_a_name_in_full_is_of_its_slot_whatever_was_tagged(lexicon, text, tags, 
         tagged |= dict.fromkeys(words.split(), slot)
     frame, unclear = read(text, tagged, lexicon, Frame("request", {}, ("theater",)))
     assert (dict(frame.informs), unclear) == (informs, ())
+
+
+@pytest.mark.parametrize("act", ["thanks", "closing"])
+def test_a_name_of_several_words_never_ends_a_conversation(lexicon, act):
+    frame, _ = read(
+        "clean theater thats all", {}, lexicon, Frame("request", {}, ("date",)), act=act
+    )
+    assert (frame.act, dict(frame.informs)) == ("inform", {"other": "clean theater"})
