@@ -6,9 +6,9 @@ from statistics import fmean
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.evaluation import pairs, table1
-from scripts.docs_blocks.common import block, code, read_csv, table
+from scripts.docs_blocks.common import block, code, table
 from scripts.docs_blocks.results import groups
-from scripts.docs_blocks.tables import measured
+from scripts.docs_blocks.tables import measured, unspiked
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -78,10 +78,7 @@ def _early() -> str:
 
 def _most_unspiked() -> tuple[str, int, int, int]:
     """Returns the agent that learns unspiked in most seeds, how many, of how many, in how long."""
-    seeds: dict[str, list[dict[str, str]]] = {}
-    for row in read_csv("unspiked.csv"):
-        if row["domain"] == "movie":
-            seeds.setdefault(row["agent"], []).append(row)
+    seeds = {agent: rows for (domain, agent), rows in unspiked().items() if domain == "movie"}
     reached = {agent: sum(bool(row["to_0.3"]) for row in rows) for agent, rows in seeds.items()}
     best = max(reached, key=reached.__getitem__)
     return best, reached[best], len(seeds[best]), int(seeds[best][0]["dialogues"])

@@ -251,14 +251,19 @@ def _comparison() -> str:
     return table(head, rows, numbers=3)
 
 
-@block("results.unspiked")
-def _unspiked() -> str:
-    """Returns a table for each domain of agents that learn without spiking, the best first."""
+def unspiked() -> dict[tuple[str, str], list[dict[str, str]]]:
+    """Returns the seeds that learn without spiking, by domain and agent."""
     seeds: dict[tuple[str, str], list[dict[str, str]]] = defaultdict(list)
     for row in read_csv("unspiked.csv"):
         seeds[row["domain"], row["agent"]].append(row)
+    return seeds
+
+
+@block("results.unspiked")
+def _unspiked() -> str:
+    """Returns a table for each domain of agents that learn without spiking, the best first."""
     tables: dict[str, list[tuple[float, tuple[str, ...]]]] = defaultdict(list)
-    for (domain, agent), rows in seeds.items():
+    for (domain, agent), rows in unspiked().items():
         most = int(rows[0]["dialogues"])
         booked = [estimate([float(row[key]) for row in rows]) for key in _UNSPIKED]
         times = (

@@ -118,12 +118,12 @@ class Session:
 
     @property
     def is_ended(self) -> bool:
-        """Whether the conversation has ended."""
+        """True once the conversation has ended."""
         return self.ended_by is not None
 
     @property
     def is_rated(self) -> bool:
-        """Whether the participant has rated it."""
+        """True once the participant has rated it."""
         return self.ratings is not None
 
     @classmethod

@@ -59,7 +59,7 @@ class SimulatedUser:
 
     @property
     def satisfied(self) -> bool:
-        """Whether the last offer met the goal, and nothing is unanswered or without a match."""
+        """True if the last offer met the goal and nothing is unanswered or without a match."""
         state, ticket = self._state, self._simulator.domain.ticket
         is_left = state["pending"] | state["agenda"]
         is_left[ticket] = False
