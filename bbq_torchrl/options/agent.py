@@ -410,6 +410,7 @@ class DQN(AgentOption):
         BELOW_ONE,
         "probability of dropping a hidden unit in the prediction",
     )
+    weight_decay: float = setting(0.0, NON_NEGATIVE, "decoupled weight decay, as in AdamW")
     double: bool = setting(False, BOOLEAN, "choose the target's action by the online network")
     noisy: bool = setting(False, BOOLEAN, "NoisyNet layers instead of dropout")
 
@@ -446,3 +447,13 @@ class DQN(AgentOption):
         if self.noisy:
             return NoisyDQNLoss(actor, gamma=gamma, double_dqn=self.double)
         return DropoutDQNLoss(actor, gamma=gamma, double_dqn=self.double)
+
+    def make_optimizer(
+        self, actor: QValueActor, parameters: Iterable[nn.Parameter], task: Task
+    ) -> ReplicaOptimizer:
+        """Adam with decoupled weight decay, which is zero by default."""
+        from bbq_torchrl.trainers import ReplicaAdam
+
+        rates = list(map(float, spread(self.lr, task.replicas)))
+        decay = self.weight_decay
+        return ReplicaAdam(parameters, task.replicas, lr=rates, weight_decay=decay)

@@ -27,6 +27,7 @@ class ReplicaAdam:
         lr: the learning rate, or one for each replica. Defaults to 1e-3, as in the paper.
         betas: as in :class:`torch.optim.Adam`.
         eps: as in :class:`torch.optim.Adam`.
+        weight_decay: decoupled, as in :class:`torch.optim.AdamW`.
 
     Examples:
         >>> weight = nn.Parameter(torch.zeros(2, 3))
@@ -46,6 +47,7 @@ class ReplicaAdam:
         lr: float | Sequence[float] = 1e-3,
         betas: tuple[float, float] = (0.9, 0.999),
         eps: float = 1e-8,
+        weight_decay: float = 0.0,
     ) -> None:
         self.replicas = replicas
         self.parameters = [parameter for parameter in parameters if parameter.requires_grad]
@@ -63,7 +65,14 @@ class ReplicaAdam:
         ]
         groups = self._groups(lr)
         self._rates = [group["lr"] for group in groups]
-        self._adam = torch.optim.Adam(groups, betas=betas, eps=eps, fused=True)
+        self._adam = torch.optim.Adam(
+            groups,
+            betas=betas,
+            eps=eps,
+            weight_decay=weight_decay,
+            decoupled_weight_decay=True,
+            fused=True,
+        )
 
     def _groups(self, lr: float | Sequence[float]) -> list[dict[str, Any]]:
         """Returns Adam's parameter groups; adjacent replicas of the same rate share a group."""
@@ -116,7 +125,8 @@ class ReplicaAdam:
                 beta1=group["betas"][0],
                 beta2=group["betas"][1],
                 lr=group["lr"],
-                weight_decay=0.0,
+                weight_decay=group["weight_decay"],
+                decoupled_weight_decay=True,
                 eps=group["eps"],
                 maximize=False,
             )

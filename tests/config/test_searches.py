@@ -11,8 +11,9 @@ def test_our_searches_can_be_run_at_every_bound_and_vary_what_each_agent_has():
     spaces = {name: {*found.space} for name, found in searches.items()}
     assert all(spaces.values())
     assert all(found.folder.name == f"search_{name}" for name, found in searches.items())
-    bbqn = {"mean_init", "std_init", "prior_std", "kl_temperature"}
-    assert spaces["bbqn"] == {f"agent.{key}" for key in bbqn}
+    learner = {f"protocol.{key}" for key in ("lr", "epochs", "batch_size")}
+    assert all(learner < space for space in spaces.values())
+    assert {f"agent.{key}" for key in ("std_init", "prior_std", "kl_temperature")} < spaces["bbqn"]
     assert "explore.temperature_init" in spaces["dqn_boltzmann"]
     assert "agent.prior_std" not in spaces["dqn_boltzmann"]
 
@@ -24,14 +25,13 @@ def test_a_temperature_that_is_searched_stays_the_same_over_all_rounds():
 
 def test_the_command_line_changes_settings_space_and_what_is_fixed():
     given = ["search=bbqn", "search.trials=7", "search.objective=final", "agent.lr=2e-3"]
-    given += [
-        f"search.space.agent.{key}=null" for key in ("mean_init", "std_init", "kl_temperature")
-    ]
+    searched = compose_search(["search=bbqn"]).space
+    given += [f"search.space.{key}=null" for key in searched if key != "agent.prior_std"]
     given.append("search.space.agent.target={type: categorical, choices: [map, mc]}")
     search = compose_search([*given, "search.space.agent.prior_std.high=.5", "replicas=3"])
     assert (search.settings.trials, search.settings.objective) == (7, "final")
     assert {name: item.probes for name, item in search.space.items()} == {
-        "agent.prior_std": [0.03, 0.5],
+        "agent.prior_std": [searched["agent.prior_std"].low, 0.5],
         "agent.target": ["map", "mc"],
     }
     config = search.config({"agent.prior_std": 0.25, "agent.target": "mc"})

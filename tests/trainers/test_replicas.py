@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from functools import partial
 
 import pytest
 import torch
@@ -23,13 +24,13 @@ from bbq_torchrl.trainers.learn import LossSums
 LR = (1e-2, 1e-2, 1e-3)
 
 
-def test_steps_are_bitwise_adams_whoever_is_active_at_whatever_share_of_the_rate():
+@pytest.mark.parametrize("decay", [0.0, 0.1])
+def test_steps_are_bitwise_adams_whoever_is_active_at_whatever_share_of_the_rate(decay):
+    kind = partial(torch.optim.AdamW, weight_decay=decay) if decay else torch.optim.Adam
     weight, bias = nn.Parameter(torch.randn(3, 4, 5)), nn.Parameter(torch.randn(3, 7))
     twins = [[p.detach()[r].clone().requires_grad_() for p in (weight, bias)] for r in range(3)]
-    ours = ReplicaAdam([weight, bias], 3, lr=LR)
-    theirs = [
-        torch.optim.Adam(twin, lr=rate, fused=True) for twin, rate in zip(twins, LR, strict=True)
-    ]
+    ours = ReplicaAdam([weight, bias], 3, lr=LR, weight_decay=decay)
+    theirs = [kind(twin, lr=rate, fused=True) for twin, rate in zip(twins, LR, strict=True)]
 
     for number in range(12):
         active = (True, number % 4 != 3, number % 3 != 2)
@@ -49,7 +50,8 @@ def test_steps_are_bitwise_adams_whoever_is_active_at_whatever_share_of_the_rate
         ours.scale_lr(share)
         ours.step(None if all(active) else active)
         if number == 6:  # what was saved at a fallen rate goes on at whichever comes
-            saved, ours = ours.state_dict(), ReplicaAdam([weight, bias], 3, lr=LR)
+            saved = ours.state_dict()
+            ours = ReplicaAdam([weight, bias], 3, lr=LR, weight_decay=decay)
             ours.load_state_dict(saved)
 
     for replica, twin in enumerate(twins):
