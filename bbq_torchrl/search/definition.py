@@ -151,9 +151,9 @@ def compose_search(arguments: Sequence[str]) -> Search:
         ConfigError: one sentence that names the wrong key and its allowed values.
 
     Examples:
-        >>> search = compose_search(["search=bbqn", "search.trials=9", "agent.prior_std=.1"])
+        >>> search = compose_search(["search=vime", "search.trials=9", "protocol.lr=.001"])
         >>> list(search.space), search.settings.trials
-        (['agent.mean_init', 'agent.std_init', 'agent.kl_temperature'], 9)
+        (['intrinsic.eta', 'intrinsic.weights', 'protocol.epochs', 'protocol.batch_size'], 9)
     """
     if (refusal := too_large(arguments)) is not None:
         raise ConfigError(refusal)
