@@ -244,6 +244,25 @@ def test_vmap_over_noise_is_a_loop(name):
 
 
 @pytest.mark.parametrize("kind", ["closed", "sampled"])
+def test_a_vmap_draws_each_networks_weights_with_their_kl(kind):
+    nets = [made("linear")[0] for _ in range(3)]
+    stacked = stack_module_state(nets)[0]
+
+    def call(parameters):
+        with weight_scope("draw", kl=kind) as scope:
+            out = functional_call(nets[0], parameters, (torch.ones(1, 4).double(),))
+            return out, scope.kl.total()
+
+    outs, kls = vmap(call, randomness="different")(stacked)
+    again, _ = vmap(call, randomness="different")(stacked)
+    assert not torch.equal(outs, again)
+    assert outs.isfinite().all()
+    if kind == "closed":
+        torch.testing.assert_close(kls, torch.stack([net.posterior.kl() for net in nets]))
+    assert kls.isfinite().all()
+
+
+@pytest.mark.parametrize("kind", ["closed", "sampled"])
 def test_gradients_under_a_transform_are_the_hand_written_ones(kind):
     net, _ = made("mlp", prior_std=0.3)
     x = torch.randn(6, 4).double()
