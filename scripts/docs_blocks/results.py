@@ -211,6 +211,65 @@ def _spikes() -> str:
     return table((*head, *(f"booked after {n:,}" for n in _SPIKED), "final"), shown)
 
 
+@block("learning.searched")
+def _searched() -> str:
+    """Returns the searched settings of agents next to the defaults, and differences by pairs."""
+    budgets = (500, 1_000, 3_000)
+    settings = ("searched", "default")
+    agents = ("bbqn", "dqn_boltzmann", "dqn")
+    keys = [f"{agent}_{setting}" for agent in agents for setting in settings]
+    keys[2:2] = ["bbqn_posterior", "bbqn_learner"]
+    keys += [f"extension_{agent}_searched" for agent in agents[:2]]
+    found = {key: groups(f"searched/{key}")[0] for key in keys}
+    parts = {
+        "posterior": "default, but the posterior searched",
+        "learner": "default, but the learner searched",
+    }
+    names = {}
+    for key, group in found.items():
+        setting = key.rpartition("_")[2]
+        name = f"{group.agent.removeprefix('Soft ')}, {parts.get(setting, setting)}"
+        names[key] = name + (", domain extension" if key.startswith("extension") else "")
+    rows = [
+        (names[key], *(estimate(group.booked(n)) for n in budgets), estimate(group.final))
+        for key, group in found.items()
+    ]
+    compared = [(f"{agent}_searched", f"{agent}_default") for agent in agents]
+    compared += [(f"bbqn_{setting}", f"dqn_boltzmann_{setting}") for setting in settings[::-1]]
+    compared.append(("extension_bbqn_searched", "extension_dqn_boltzmann_searched"))
+    differences = []
+    for one, other in compared:
+        values = pairs.pair(found[one], found[other]).differences
+        shown = (pairs.difference(values[quantity]) for quantity in ("early", "final"))
+        differences.append((f"{names[one]}, minus {names[other]}", *shown))
+    head = ("agent", *(f"booked after {n:,}" for n in budgets), "final")
+    beside = ("difference by pairs", f"booked after {pairs.EARLY:,}", "final")
+    return f"{table(head, rows)}\n\n{table(beside, differences)}"
+
+
+@block("learning.searched_long")
+def _searched_long() -> str:
+    """Returns DQN-Boltzmann with its searched settings in Table 1's setting, next to others."""
+    folders = {
+        "DQN-Boltzmann, searched": "searched/table1_dqn_boltzmann",
+        "DQN-Boltzmann": "table1/full/dqn_boltzmann",
+        "Soft BBQN-MAP": "table1/full/bbqn_map_soft",
+        "BBQN-MAP": "table1/full/bbqn_map",
+    }
+    budgets = (1_000, 5_000)
+    found = {name: groups(folder)[0] for name, folder in folders.items()}
+    rows = []
+    for name, group in found.items():
+        minus = "–"
+        if name != "DQN-Boltzmann, searched":
+            difference = pairs.pair(group, found["DQN-Boltzmann, searched"]).differences["final"]
+            minus = str(pairs.difference(difference))
+        booked = (estimate(group.booked(n)) for n in budgets)
+        rows.append((name, *booked, estimate(group.final), minus))
+    head = ("150 rounds", *(f"booked after {n:,}" for n in budgets), "final", "minus the first")
+    return table(head, rows)
+
+
 @block("gp.table1")
 def _gaussian_process() -> str:
     """Returns the Gaussian process next to agents of Table 1, a table for each environment."""
