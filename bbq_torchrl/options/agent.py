@@ -63,6 +63,7 @@ class AgentOption(Option):
     offers: ClassVar[tuple[str, ...]] = ("values",)
     explores_by: ClassVar[str] = "epsilon_greedy"
     modes: ClassVar[tuple[str, ...]] = ()
+    weight_decay = 0.0  # no key, unless an agent makes it one
 
     @abstractmethod
     def make_actor(self, task: Task) -> QValueActor:
@@ -91,7 +92,8 @@ class AgentOption(Option):
         from bbq_torchrl.trainers import ReplicaAdam
 
         rates = list(map(float, spread(self.lr, task.replicas)))
-        return ReplicaAdam(parameters, task.replicas, lr=rates)
+        decay = self.weight_decay
+        return ReplicaAdam(parameters, task.replicas, lr=rates, weight_decay=decay)
 
     def make_greedy(self, actor: QValueActor) -> TensorDictModuleBase:
         """Makes the policy that acts without exploration."""
@@ -447,13 +449,3 @@ class DQN(AgentOption):
         if self.noisy:
             return NoisyDQNLoss(actor, gamma=gamma, double_dqn=self.double)
         return DropoutDQNLoss(actor, gamma=gamma, double_dqn=self.double)
-
-    def make_optimizer(
-        self, actor: QValueActor, parameters: Iterable[nn.Parameter], task: Task
-    ) -> ReplicaOptimizer:
-        """Adam with decoupled weight decay, which is zero by default."""
-        from bbq_torchrl.trainers import ReplicaAdam
-
-        rates = list(map(float, spread(self.lr, task.replicas)))
-        decay = self.weight_decay
-        return ReplicaAdam(parameters, task.replicas, lr=rates, weight_decay=decay)

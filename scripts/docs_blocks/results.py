@@ -211,6 +211,15 @@ def _spikes() -> str:
     return table((*head, *(f"booked after {n:,}" for n in _SPIKED), "final"), shown)
 
 
+def _booked(name: str, group: Group, budgets: Sequence[int]) -> tuple[object, ...]:
+    """Returns a row: the name, the shares booked after the budgets, and the final success."""
+    return (name, *(estimate(group.booked(first)) for first in budgets), estimate(group.final))
+
+
+def _booked_head(of: str, budgets: Sequence[int]) -> tuple[str, ...]:
+    return (of, *(f"booked after {first:,}" for first in budgets), "final")
+
+
 @block("learning.searched")
 def _searched() -> str:
     """Returns the searched settings of agents next to the defaults, and differences by pairs."""
@@ -230,10 +239,7 @@ def _searched() -> str:
         setting = key.rpartition("_")[2]
         name = f"{group.agent.removeprefix('Soft ')}, {parts.get(setting, setting)}"
         names[key] = name + (", domain extension" if key.startswith("extension") else "")
-    rows = [
-        (names[key], *(estimate(group.booked(n)) for n in budgets), estimate(group.final))
-        for key, group in found.items()
-    ]
+    rows = [_booked(names[key], group, budgets) for key, group in found.items()]
     compared = [(f"{agent}_searched", f"{agent}_default") for agent in agents]
     compared += [(f"bbqn_{setting}", f"dqn_boltzmann_{setting}") for setting in settings[::-1]]
     compared.append(("extension_bbqn_searched", "extension_dqn_boltzmann_searched"))
@@ -242,32 +248,21 @@ def _searched() -> str:
         values = pairs.pair(found[one], found[other]).differences
         shown = (pairs.difference(values[quantity]) for quantity in ("early", "final"))
         differences.append((f"{names[one]}, minus {names[other]}", *shown))
-    head = ("agent", *(f"booked after {n:,}" for n in budgets), "final")
-    beside = ("difference by pairs", f"booked after {pairs.EARLY:,}", "final")
-    return f"{table(head, rows)}\n\n{table(beside, differences)}"
+    beside = _booked_head("difference by pairs", (pairs.EARLY,))
+    return f"{table(_booked_head('agent', budgets), rows)}\n\n{table(beside, differences)}"
 
 
 @block("learning.searched_long")
 def _searched_long() -> str:
     """Returns DQN-Boltzmann with its searched settings in Table 1's setting, next to others."""
-    folders = {
-        "DQN-Boltzmann, searched": "searched/table1_dqn_boltzmann",
-        "DQN-Boltzmann": "table1/full/dqn_boltzmann",
-        "Soft BBQN-MAP": "table1/full/bbqn_map_soft",
-        "BBQN-MAP": "table1/full/bbqn_map",
-    }
+    (searched,) = groups("searched/table1_dqn_boltzmann")
     budgets = (1_000, 5_000)
-    found = {name: groups(folder)[0] for name, folder in folders.items()}
-    rows = []
-    for name, group in found.items():
-        minus = "–"
-        if name != "DQN-Boltzmann, searched":
-            difference = pairs.pair(group, found["DQN-Boltzmann, searched"]).differences["final"]
-            minus = str(pairs.difference(difference))
-        booked = (estimate(group.booked(n)) for n in budgets)
-        rows.append((name, *booked, estimate(group.final), minus))
-    head = ("150 rounds", *(f"booked after {n:,}" for n in budgets), "final", "minus the first")
-    return table(head, rows)
+    rows = [(*_booked("DQN-Boltzmann, searched", searched, budgets), NONE)]
+    for folder in ("dqn_boltzmann", "bbqn_map_soft", "bbqn_map"):
+        (group,) = groups(f"table1/full/{folder}")
+        difference = pairs.pair(group, searched).differences["final"]
+        rows.append((*_booked(group.agent, group, budgets), pairs.difference(difference)))
+    return table((*_booked_head("150 rounds", budgets), "minus the first"), rows)
 
 
 @block("gp.table1")
@@ -279,10 +274,8 @@ def _gaussian_process() -> str:
         rows = []
         for name in ("gp", "bbqn_map_soft", "bbqn_map", "dqn_boltzmann", "dqn"):
             (group,) = groups(f"table1/{of}/{name}")
-            booked = [str(estimate(group.booked(first))) for first in budgets]
-            rows.append((group.agent, *booked, str(estimate(group.final)), f"{group.reward:.2f}"))
-        head = (env, *(f"booked after {first:,}" for first in budgets), "final", "reward")
-        tables.append(table(head, rows))
+            rows.append((*_booked(group.agent, group, budgets), f"{group.reward:.2f}"))
+        tables.append(table((*_booked_head(env, budgets), "reward"), rows))
     return "\n\n".join(tables)
 
 

@@ -19,6 +19,13 @@ if TYPE_CHECKING:
 TABLE1 = {"full": "table1/full", "domain_ext": "table1/extension"}
 """Environment -> folder of its runs in results/."""
 
+SOFT = [(f"{folder}/bbqn_map_soft", f"{folder}/dqn_boltzmann") for folder in TABLE1.values()]
+SEARCHED = [
+    (f"searched/{env}bbqn_searched", f"searched/{env}dqn_boltzmann_searched")
+    for env in ("", "extension_")
+]
+"""Folders of BBQN and DQN-Boltzmann in each environment: BBQN's default, and both searched."""
+
 BY_ENV = "{} in the full domain, {} in domain extension"
 
 
@@ -51,22 +58,10 @@ def _differences(one: str, other: str, quantity: str) -> list[Estimate]:
     return [_difference(cells[one], cells[other], quantity) for cells in _cells().values()]
 
 
-def _soft(other: str, quantity: str) -> list[Estimate]:
-    """Returns what BBQN's default is ahead of an agent of Table 1 in each of its environments."""
-    soft = [groups(f"{folder}/bbqn_map_soft")[0] for folder in TABLE1.values()]
-    others = [cells[other] for cells in _cells().values()]
-    return [_difference(*pair, quantity) for pair in zip(soft, others, strict=True)]
-
-
-def _searched(quantity: str) -> list[Estimate]:
-    """Returns what BBQN is ahead of DQN-Boltzmann in each environment, both searched again."""
+def _of_folders(pairs_of_folders: Sequence[tuple[str, str]], quantity: str) -> list[Estimate]:
+    """Returns the difference of the runs of each pair of result folders."""
     return [
-        _difference(
-            groups(f"searched/{env}bbqn_searched")[0],
-            groups(f"searched/{env}dqn_boltzmann_searched")[0],
-            quantity,
-        )
-        for env in ("", "extension_")
+        _difference(groups(one)[0], groups(other)[0], quantity) for one, other in pairs_of_folders
     ]
 
 
@@ -79,15 +74,15 @@ def _finals(names: Iterable[str]) -> list[list[float]]:
 @block("results.early")
 def _early() -> str:
     """Returns the sentence on BBQN-MAP's success in its first dialogues."""
-    soft = _soft("DQN-Boltzmann", "early")
+    soft = _of_folders(SOFT, "early")
     return (
         f"Of its first {pairs.EARLY:,} training dialogues BBQN-MAP books less than DQN-Boltzmann: "
         f"{BY_ENV.format(*_differences('BBQN-MAP', 'DQN-Boltzmann', 'early'))} (difference of the "
         f"shares booked, by pairs). The default of `agent=bbqn`, Soft BBQN-MAP: "
         f"{BY_ENV.format(*soft)}. With the settings of a [search with equal "
         "rounds](docs/learning_starts.md#the-same-budget-in-rounds) for each, 60 rounds: "
-        f"{BY_ENV.format(*_searched('early'))}; at the end "
-        f"{BY_ENV.format(*_searched('final'))}."
+        f"{BY_ENV.format(*_of_folders(SEARCHED, 'early'))}; at the end "
+        f"{BY_ENV.format(*_of_folders(SEARCHED, 'final'))}."
     )
 
 
@@ -106,12 +101,10 @@ def _story() -> str:
     trained = _finals(table1.PAPER["full"])
     bbqn = _finals(name for name in table1.PAPER["full"] if name.startswith("BBQN"))
     early = _differences("BBQN-MAP", "DQN-Boltzmann", "early")
-    soft = _soft("DQN-Boltzmann", "early")
+    soft = _of_folders(SOFT, "early")
     by_vime = _differences("DQN-VIME-MAP", "DQN", "final")
     final = _differences("BBQN-MAP", "DQN", "final")
-    level = _difference(
-        groups("table1/full/bbqn_map")[0], groups("searched/table1_dqn_boltzmann")[0], "final"
-    )
+    level = _of_folders([("table1/full/bbqn_map", "searched/table1_dqn_boltzmann")], "final")
     leads = [
         cells["BBQN-MAP"].success_rate - cells["DQN"].success_rate
         for cells in table1.PAPER.values()
@@ -135,7 +128,7 @@ def _story() -> str:
             f"{BY_ENV.format(*early)}; Soft BBQN-MAP, the default of `agent=bbqn`: "
             f"{BY_ENV.format(*soft)}; both [searched "
             "again](learning_starts.md#the-same-budget-in-rounds), 60 rounds: "
-            + BY_ENV.format(*_searched("early")),
+            + BY_ENV.format(*_of_folders(SEARCHED, "early")),
             _verdict(*soft),
         ),
         (
@@ -154,9 +147,9 @@ def _story() -> str:
             "BBQN ends higher than DQN",
             f"BBQN-MAP minus DQN: {BY_ENV.format(*final)}; the paper: "
             + " and ".join(f"{lead:+.3f}" for lead in leads)
-            + "; BBQN-MAP minus DQN-Boltzmann with [searched "
-            f"settings](learning_starts.md#the-same-budget-in-rounds): {level} in the full domain",
-            _verdict(*final, level),
+            + "; BBQN-MAP minus DQN-Boltzmann with [searched settings]"
+            f"(learning_starts.md#the-same-budget-in-rounds): {level[0]} in the full domain",
+            _verdict(*final, *level),
         ),
         (
             "Thompson sampling explores better",
