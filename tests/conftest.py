@@ -3,6 +3,12 @@
 from __future__ import annotations
 
 import os
+
+# Read when torch first looks for a GPU. Once its gradients have seen one, this process cannot be
+# forked as forked.py does.
+if "BBQ_TEST_CUDA" not in os.environ:
+    os.environ["CUDA_VISIBLE_DEVICES"] = ""
+
 import random
 import zlib
 from pathlib import Path
@@ -28,6 +34,10 @@ collect_ignore_glob = ["*conftest.py"]
 
 # More threads than tests at a time only get in each other's way on a small machine.
 torch.set_num_threads(1)
+
+# The first gradient looks for devices. Here, before torch.compile makes a build with CUDA count one
+# that is not there: that too would forbid forks.
+torch.ones((), requires_grad=True).backward()
 
 # What a test of Hypothesis draws depends on the test alone, as in CI; how long an example takes, on
 # the machine, and no test is about that.

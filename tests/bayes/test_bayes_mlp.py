@@ -108,13 +108,13 @@ def test_by_default_it_starts_as_any_network_does_with_little_noise(make):
     assert float(net.posterior.prior_std) == pytest.approx(0.037)
 
 
-@pytest.mark.parametrize("device", ["meta", "cuda"])
+@pytest.mark.parametrize("device", ["meta", pytest.param("cuda", marks=pytest.mark.cuda)])
 @pytest.mark.parametrize("mode", ["draw", "local", "mean"])
 @pytest.mark.parametrize("start", ["made there", "moved there", "by default"])
 def test_values_kl_and_gradients_stay_on_the_device(device, mode, start):
     """The meta device has no memory: whatever is mixed in from the CPU fails, without a GPU."""
     if device == "cuda" and not torch.cuda.is_available():
-        pytest.skip("needs a GPU")
+        pytest.skip("needs a CUDA device, BBQ_TEST_CUDA=1")
     settings = {"replicas": (2,), "prior_std": "fan_in", "mean_init": "kaiming", "std_init": 0.05}
     with torch.device(device if start == "by default" else "cpu"):
         made_on = device if start == "made there" else None

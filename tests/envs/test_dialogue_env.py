@@ -215,7 +215,8 @@ def test_what_an_environment_cannot_do_is_refused(movie):
             DialogueEnv(movie, schedule=schedule).set_round(-1)
 
 
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+@pytest.mark.cuda
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device, BBQ_TEST_CUDA=1")
 def test_an_environment_moves_to_an_accelerator_and_back(movie):
     env = DialogueEnv(movie, batch_size=(5,), seed=0)
     env.reset()

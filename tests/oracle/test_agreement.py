@@ -122,7 +122,8 @@ def test_the_simulator_agrees_with_the_oracle_on_users_that_differ(movie, restau
     assert_at_work(BOOKS, play(restaurant, 80, seed=950, settings=few))
 
 
-@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device")
+@pytest.mark.cuda
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device, BBQ_TEST_CUDA=1")
 def test_the_simulator_agrees_with_the_oracle_on_an_accelerator(movie):
     assert_at_work(BOOKS, play(movie, 200, seed=500, device="cuda"))
 
