@@ -12,7 +12,14 @@ from bbq_torchrl.people.language.asking import OPENING, Unclear, asked_slot
 from bbq_torchrl.people.language.company import counted
 from bbq_torchrl.people.language.learners import OUTSIDE
 from bbq_torchrl.people.language.mentions import LONGEST, SHORT, values_of
-from bbq_torchrl.people.language.words import COUNT_WORDS, NUMBER_WORDS, POLITE, compact, word_set
+from bbq_torchrl.people.language.words import (
+    COUNT_WORDS,
+    ENGLISH,
+    NUMBER_WORDS,
+    POLITE,
+    compact,
+    word_set,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -35,6 +42,8 @@ _NAME = 5  # words of an answer that names no known value
 _ABOUT_VALUES = ("inform", "request", "confirm_question")
 _NOT = frozenset(("not", "no", "except"))
 _ANY = frozenset(("any", "anything", "whatever", "either"))
+_ENDS = frozenset((".", "!", "please", "really"))
+_ANY_OF = [re.compile(pattern.replace("<name>", "(.+)")) for pattern in ENGLISH["any_of"]]
 _IS, _FINE = word_set("any_is"), word_set("any_is_fine")
 _YES = frozenset("yes yeah yep yup right correct sure exactly ok okay indeed true y".split())
 
@@ -98,7 +107,7 @@ def assemble(
     offered = chosen(words, question, lexicon)
     if asked is not None and offered is not None:
         return Frame("inform", {asked: offered}), ()
-    if (free := _any_of(words, lexicon)) is not None:
+    if (free := _any_of(words, question, lexicon)) is not None:
         return Frame("inform", {free: ANY}), ()
     act = lexicon.domain.acts[int(reading.acts.argmax())]
     reading = replace(reading, tags=counted(words, reading.tags, question, lexicon))
@@ -217,14 +226,24 @@ def _short_answer(
     return {other: values[0]} if values else None
 
 
-def _any_of(words: Sequence[str], lexicon: Lexicon) -> str | None:
-    """Returns the slot of "any theater chain is fine"."""
-    for slot in lexicon.slots if words[0] in _ANY else ():
-        phrases = lexicon.phrases.slots[slot]
-        for name in (phrases.name, *phrases.nouns):
-            said, (verb, *rest) = name.split(), words[1 + len(name.split()) :] or [""]
+def _any_of(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | None:
+    """Returns the slot of "any theater is fine", "the day does not matter", or an "any time"."""
+    text = " ".join(word for word in words if word not in _ENDS)
+    said = next((found[1] for pattern in _ANY_OF if (found := pattern.fullmatch(text))), None)
+    asked, is_bare = asked_slot(question), words[0] in _ANY
+    if is_bare and asked is None and question.act != "not_sure":
+        said = None  # "Any good" after an offer asks something.
+    for slot in lexicon.slots:
+        phrases, kind = lexicon.phrases.slots[slot], lexicon.kinds[slot]
+        names = (phrases.name, *phrases.nouns)
+        if said in names and kind != "count":  # "any tickets"
+            # "Any time" answers "When?" about the day, too.
+            is_when = is_bare and kind == "time" and lexicon.kinds.get(asked or "") == "date"
+            return asked if is_when else slot
+        for name in names if is_bare else ():
+            own, (verb, *rest) = name.split(), words[1 + len(name.split()) :] or [""]
             is_fine = verb in _IS and bool(rest or verb == "works") and _FINE.issuperset(rest)
-            if words[1 : 1 + len(said)] == said and is_fine:
+            if words[1 : 1 + len(own)] == own and is_fine:
                 return slot
     return None
 

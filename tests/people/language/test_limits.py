@@ -232,6 +232,35 @@ def test_any_of_a_slot_is_fine_whatever_was_asked(lexicon, text, slot):
     assert ANY not in read("any tickets for us", {}, lexicon)[0].informs.values()
 
 
+@pytest.mark.parametrize(
+    ("text", "slot"),
+    [
+        ("any time", "starttime"),
+        ("any theater please", "theater"),
+        ("whatever day", "date"),
+        ("the day doesn't matter", "date"),
+        ("time does not matter to me.", "starttime"),
+        ("i have no preference on the theater", "theater"),
+        ("i don't care which day", "date"),
+        ("we're flexible about the time", "starttime"),
+    ],
+)
+def test_no_preference_about_a_slot_is_not_one_about_the_slot_asked_for(lexicon, text, slot):
+    checked = Frame("not_sure", {"city": "reno"})
+    for question in (Frame("request", {}, ("city",)), checked):
+        assert read(text, {}, lexicon, question)[0] == Frame("inform", {slot: ANY})
+
+
+def test_any_time_answers_when(lexicon):
+    frame, _ = read("any time", {}, lexicon, Frame("request", {}, ("date",)))
+    assert frame == Frame("inform", {"date": ANY})
+
+
+def test_any_good_after_an_offer_is_not_indifference(lexicon):
+    offer = Frame("inform", {"moviename": "barbie"})
+    assert ANY not in read("any good", {}, lexicon, offer)[0].informs.values()
+
+
 def test_an_unknown_name_is_reported_with_its_slot_and_words(lexicon):
     frame, unclear = read(
         "2 for xylqo vrit",
