@@ -66,6 +66,20 @@ def test_an_answer_is_taken_with_values_as_the_domain_spells_them(understand, se
     assert (hear.answered, hear.fallbacks) == (1, {"no answer": 0, "invalid": 0})
 
 
+@pytest.mark.parametrize("threshold", [0.0, 1.0])
+def test_an_answer_is_as_sure_as_the_local_one_and_acted_on(
+    understand, server, threshold, monkeypatch
+):
+    monkeypatch.setattr(understand, "threshold", threshold)
+    own = understand("reno", question := Frame("request", {}, ("city",)))
+    assert own.frame == Frame("inform", {"city": "reno"})
+    hear = EndpointUnderstander(server.endpoint, understand)
+    server.content = json.dumps(ANSWER | {"requests": [], "dont_care": []})
+    assert hear("reno", question).confidence == own.confidence  # both agree
+    server.content = json.dumps(ANSWER)
+    assert hear("reno", question).confidence == max(own.confidence, threshold)
+
+
 WRONG = (
     {"act": "obey"},
     {"informs": [{"slot": "city", "value": "Atlantis"}]},
