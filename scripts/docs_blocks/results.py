@@ -259,14 +259,20 @@ def _searched() -> str:
 
 @block("learning.searched_long")
 def _searched_long() -> str:
-    """Returns DQN-Boltzmann with its searched settings in Table 1's setting, next to others."""
-    (searched,) = groups("searched/table1_dqn_boltzmann")
+    """Returns agents with their searched settings in Table 1's setting, next to others."""
     budgets = (1_000, 5_000)
-    rows = [(*_booked("DQN-Boltzmann, searched", searched, budgets), NONE)]
-    for folder in ("dqn_boltzmann", "bbqn_map_soft", "bbqn_map"):
-        (group,) = groups(f"table1/full/{folder}")
-        difference = pairs.pair(group, searched).differences["final"]
-        rows.append((*_booked(group.agent, group, budgets), pairs.difference(difference)))
+    folders = ["searched/table1_dqn_boltzmann", "searched/table1_bbqn"]
+    folders += [f"table1/full/{agent}" for agent in ("dqn_boltzmann", "bbqn_map_soft", "bbqn_map")]
+    rows: list[tuple[object, ...]] = []
+    first: Group | None = None
+    for folder in folders:
+        (group,) = groups(folder)
+        name = group.agent + ", searched" * folder.startswith("searched")
+        beside = NONE
+        if first is not None:
+            beside = pairs.difference(pairs.pair(group, first).differences["final"])
+        first = first or group
+        rows.append((*_booked(name, group, budgets), beside))
     return table((*_booked_head("150 rounds", budgets), "minus the first"), rows)
 
 
