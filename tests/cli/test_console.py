@@ -10,6 +10,7 @@ import pytest
 import bbq_torchrl
 from bbq_torchrl.cli import console
 from bbq_torchrl.utils import interruption
+from bbq_torchrl.utils.extras import needed
 
 
 @pytest.fixture(autouse=True)
@@ -52,3 +53,15 @@ def test_what_follows_the_command_is_the_commands(monkeypatch, capsys):
         bbq(monkeypatch, "train", "agent=nope")
     assert refused.value.code == 2
     assert "agent must be one of bbqn" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("given", "extra"),
+    [(("python-crfsuite", "pycrfsuite"), "language"), (("optuna", "optuna", "search"), "search")],
+)
+def test_a_missing_library_is_named_with_the_extra_that_installs_it(given, extra, monkeypatch):
+    monkeypatch.setitem(sys.modules, given[1], None)
+    needed.cache_clear()
+    message = rf"{given[0]} is needed and not installed: pip install .*\[{extra}\]"
+    with pytest.raises(ModuleNotFoundError, match=message):
+        needed(*given)
