@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 __all__ = ["__version__", "config_dir", "load_run", "train"]
 
-__version__ = "0.2.0.dev0"
+__version__ = "0.2.0"
 
 renamed.install(__name__)
 
