@@ -59,7 +59,10 @@ def test_the_result_says_what_ran_and_how_well(finished):
     mean = sum(item["success_rate"] for item in result["per_replica"]) / 3
     assert result["success_rate"] == pytest.approx(mean)
     assert {"torch", "torchrl", "tensordict", "bbq-torchrl"} <= result["versions"].keys()
-    assert result["wall_seconds"] > 0
+    begun, ended = (
+        (finished / file).stat().st_mtime for file in (".hydra/overrides.yaml", "result.json")
+    )
+    assert 0 < result["wall_seconds"] < ended - begun + 1
 
 
 @pytest.mark.parametrize("mode", ["mean", "average", "thompson"])
