@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import re
 from dataclasses import replace
 
 import forked
@@ -66,6 +67,8 @@ def test_every_number_of_a_small_study(fill):
     assert "| secret-dqn | 4 | 4 |" in text  # the reasons
     assert "**0.250**" in text
     assert "Nobody is conspicuous." in text
+    # Verdict and judge agree in 8 of 10 sessions, and would by chance in .7 × .5 + .3 × .5.
+    assert re.search(r"Cohen's κ 0\.60 \[\S+, \S+\] over 10 sessions", text)
     assert "simulated" not in text
 
 
