@@ -263,15 +263,12 @@ def _searched_long() -> str:
     budgets = (1_000, 5_000)
     folders = ["searched/table1_dqn_boltzmann", "searched/table1_bbqn"]
     folders += [f"table1/full/{agent}" for agent in ("dqn_boltzmann", "bbqn_map_soft", "bbqn_map")]
+    found = [groups(folder)[0] for folder in folders]
     rows: list[tuple[object, ...]] = []
-    first: Group | None = None
-    for folder in folders:
-        (group,) = groups(folder)
+    for folder, group in zip(folders, found, strict=True):
         name = group.agent + ", searched" * folder.startswith("searched")
-        beside = NONE
-        if first is not None:
-            beside = pairs.difference(pairs.pair(group, first).differences["final"])
-        first = first or group
+        difference = pairs.pair(group, found[0]).differences["final"]
+        beside = NONE if group is found[0] else pairs.difference(difference)
         rows.append((*_booked(name, group, budgets), beside))
     return table((*_booked_head("150 rounds", budgets), "minus the first"), rows)
 

@@ -26,7 +26,7 @@ SEARCHED = [
 ]
 """Folders of BBQN and DQN-Boltzmann in each environment: BBQN's default, and both searched."""
 
-SEARCHED_LONG = [("searched/table1_bbqn", "searched/table1_dqn_boltzmann")]
+SEARCHED_LONG = ("searched/table1_bbqn", "searched/table1_dqn_boltzmann")
 """The folders of both searched in Table 1's setting, which only the full domain has."""
 
 BY_ENV = "{} in the full domain, {} in domain extension"
@@ -61,11 +61,13 @@ def _differences(one: str, other: str, quantity: str) -> list[Estimate]:
     return [_difference(cells[one], cells[other], quantity) for cells in _cells().values()]
 
 
-def _of_folders(pairs_of_folders: Sequence[tuple[str, str]], quantity: str) -> list[Estimate]:
-    """Returns the difference of the runs of each pair of result folders."""
-    return [
-        _difference(groups(one)[0], groups(other)[0], quantity) for one, other in pairs_of_folders
-    ]
+def _of_folders(one: str, other: str, quantity: str) -> Estimate:
+    """Returns the difference of the runs of two result folders."""
+    return _difference(groups(one)[0], groups(other)[0], quantity)
+
+
+def _of_each(pairs_of_folders: Sequence[tuple[str, str]], quantity: str) -> list[Estimate]:
+    return [_of_folders(*folders, quantity) for folders in pairs_of_folders]
 
 
 def _finals(names: Iterable[str]) -> list[list[float]]:
@@ -77,17 +79,17 @@ def _finals(names: Iterable[str]) -> list[list[float]]:
 @block("results.early")
 def _early() -> str:
     """Returns the sentence on BBQN-MAP's success in its first dialogues."""
-    soft = _of_folders(SOFT, "early")
+    soft = _of_each(SOFT, "early")
     return (
         f"Of its first {pairs.EARLY:,} training dialogues BBQN-MAP books less than DQN-Boltzmann: "
         f"{BY_ENV.format(*_differences('BBQN-MAP', 'DQN-Boltzmann', 'early'))} (difference of the "
         f"shares booked, by pairs). The default of `agent=bbqn`, Soft BBQN-MAP: "
         f"{BY_ENV.format(*soft)}. With the settings of a [search with equal "
         "rounds](docs/learning_starts.md#the-same-budget-in-rounds) for each, 60 rounds: "
-        f"{BY_ENV.format(*_of_folders(SEARCHED, 'early'))}; at the end "
-        f"{BY_ENV.format(*_of_folders(SEARCHED, 'final'))}. In Table 1's setting of the full "
-        f"domain, 150 rounds: {_of_folders(SEARCHED_LONG, 'early')[0]}; at the end "
-        f"{_of_folders(SEARCHED_LONG, 'final')[0]}."
+        f"{BY_ENV.format(*_of_each(SEARCHED, 'early'))}; at the end "
+        f"{BY_ENV.format(*_of_each(SEARCHED, 'final'))}. In Table 1's setting of the full "
+        f"domain, 150 rounds: {_of_folders(*SEARCHED_LONG, 'early')}; at the end "
+        f"{_of_folders(*SEARCHED_LONG, 'final')}."
     )
 
 
@@ -106,10 +108,10 @@ def _story() -> str:
     trained = _finals(table1.PAPER["full"])
     bbqn = _finals(name for name in table1.PAPER["full"] if name.startswith("BBQN"))
     early = _differences("BBQN-MAP", "DQN-Boltzmann", "early")
-    soft = _of_folders(SOFT, "early")
+    soft = _of_each(SOFT, "early")
     by_vime = _differences("DQN-VIME-MAP", "DQN", "final")
     final = _differences("BBQN-MAP", "DQN", "final")
-    level = _of_folders([("table1/full/bbqn_map", "searched/table1_dqn_boltzmann")], "final")
+    level = _of_folders("table1/full/bbqn_map", "searched/table1_dqn_boltzmann", "final")
     leads = [
         cells["BBQN-MAP"].success_rate - cells["DQN"].success_rate
         for cells in table1.PAPER.values()
@@ -133,8 +135,8 @@ def _story() -> str:
             f"{BY_ENV.format(*early)}; Soft BBQN-MAP, the default of `agent=bbqn`: "
             f"{BY_ENV.format(*soft)}; both [searched "
             "again](learning_starts.md#the-same-budget-in-rounds), 60 rounds: "
-            f"{BY_ENV.format(*_of_folders(SEARCHED, 'early'))}, and in Table 1's setting "
-            f"{_of_folders(SEARCHED_LONG, 'early')[0]} in the full domain",
+            f"{BY_ENV.format(*_of_each(SEARCHED, 'early'))}, and in Table 1's setting "
+            f"{_of_folders(*SEARCHED_LONG, 'early')} in the full domain",
             _verdict(*soft),
         ),
         (
@@ -154,9 +156,9 @@ def _story() -> str:
             f"BBQN-MAP minus DQN: {BY_ENV.format(*final)}; the paper: "
             + " and ".join(f"{lead:+.3f}" for lead in leads)
             + "; BBQN-MAP minus DQN-Boltzmann with [searched settings]"
-            f"(learning_starts.md#the-same-budget-in-rounds): {level[0]} in the full domain, both "
-            f"searched: {_of_folders(SEARCHED_LONG, 'final')[0]}",
-            _verdict(*final, *level),
+            f"(learning_starts.md#the-same-budget-in-rounds): {level} in the full domain, both "
+            f"searched: {_of_folders(*SEARCHED_LONG, 'final')}",
+            _verdict(*final, level),
         ),
         (
             "Thompson sampling explores better",
