@@ -16,7 +16,7 @@ from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.dialogue.tracker import Acting, Tracking
 from bbq_torchrl.people.language import Frame, TextError, Unclear, Understood
 from bbq_torchrl.people.language.asking import Asking
-from bbq_torchrl.people.language.words import has_yes, is_farewell, is_no, is_yes
+from bbq_torchrl.people.language.words import has_bye, has_yes, is_farewell, is_no, is_yes
 from bbq_torchrl.simulator import Simulator
 
 if TYPE_CHECKING:
@@ -182,14 +182,17 @@ class Partner:
             understood = self._understood(text, asking.question(last))
         except TextError as error:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
+        if "farewell" in self.control.rules:
+            is_offer = last is not None and self.domain.complete_slot in last.informs
+            if understood.frame.act == "thanks" and has_bye(text) and not is_offer:
+                understood = replace(understood, frame=Frame("closing"))
+            elif understood.frame.act == "closing" and not is_farewell(text):
+                understood = replace(understood, frame=Frame("not_sure"), confidence=0.0)
         if asking.is_check or before.checked:
             checked = self._answer_to_check(before, text, understood.frame)
             if checked is None:
                 return self._after_no(before, now, understood, words)
             understood = replace(understood, **checked)
-        is_bye = understood.frame.act == "closing"
-        if is_bye and "farewell" in self.control.rules and not is_farewell(text):
-            understood = replace(understood, frame=Frame("not_sure"), confidence=0.0)
         if asking.asks(self._nlu, understood, self._ask_below):
             values = _values(asking.joined(understood.frame))
             if understood.unclear or not values or "confirm" not in self.control.rules:

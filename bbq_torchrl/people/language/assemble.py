@@ -18,7 +18,6 @@ from bbq_torchrl.people.language.words import (
     NUMBER_WORDS,
     POLITE,
     compact,
-    word_set,
 )
 
 if TYPE_CHECKING:
@@ -43,8 +42,7 @@ _ABOUT_VALUES = ("inform", "request", "confirm_question")
 _NOT = frozenset(("not", "no", "except"))
 _ANY = frozenset(("any", "anything", "whatever", "either"))
 _ENDS = frozenset((".", "!", "please", "really"))
-_ANY_OF = [re.compile(pattern.replace("<name>", "(.+)")) for pattern in ENGLISH["any_of"]]
-_IS, _FINE = word_set("any_is"), word_set("any_is_fine")
+_ANY_OF = [re.compile(pattern.replace("<name>", "(.+?)")) for pattern in ENGLISH["any_of"]]
 _YES = frozenset("yes yeah yep yup right correct sure exactly ok okay indeed true y".split())
 
 
@@ -112,7 +110,7 @@ def assemble(
     act = lexicon.domain.acts[int(reading.acts.argmax())]
     reading = replace(reading, tags=counted(words, reading.tags, question, lexicon))
     informs, unclear = values_of(words, reading, question, lexicon)
-    if reading.foreign > _FOREIGN and (unclear or OUTSIDE in reading.tags):
+    if reading.foreign > _FOREIGN and not informs:
         return Frame("not_sure" if "not_sure" in lexicon.domain.acts else "inform"), unclear
     is_more = act == "request" and "?" in words  # "comedies?" is more than a name
     is_more |= any(one.is_denied for one in unclear)
@@ -230,21 +228,18 @@ def _any_of(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | No
     """Returns the slot of "any theater is fine", "the day does not matter", or an "any time"."""
     text = " ".join(word for word in words if word not in _ENDS)
     said = next((found[1] for pattern in _ANY_OF if (found := pattern.fullmatch(text))), None)
-    asked, is_bare = asked_slot(question), words[0] in _ANY
+    if said is None:
+        return None
+    asked = asked_slot(question)
+    is_bare = text.partition(" ")[0] in _ANY and text.endswith(said)
     if is_bare and asked is None and question.act != "not_sure":
-        said = None  # "Any good" after an offer asks something.
+        return None  # "Any good" after an offer asks something.
     for slot in lexicon.slots:
         phrases, kind = lexicon.phrases.slots[slot], lexicon.kinds[slot]
-        names = (phrases.name, *phrases.nouns)
-        if said in names and kind != "count":  # "any tickets"
+        if said in (phrases.name, *phrases.nouns) and kind != "count":  # "any tickets"
             # "Any time" answers "When?" about the day, too.
             is_when = is_bare and kind == "time" and lexicon.kinds.get(asked or "") == "date"
             return asked if is_when else slot
-        for name in names if is_bare else ():
-            own, (verb, *rest) = name.split(), words[1 + len(name.split()) :] or [""]
-            is_fine = verb in _IS and bool(rest or verb == "works") and _FINE.issuperset(rest)
-            if words[1 : 1 + len(own)] == own and is_fine:
-                return slot
     return None
 
 

@@ -12,6 +12,7 @@ from bbq_torchrl.people.language.words import (
     COUNT_WORDS,
     ENGLISH,
     NUMBER_WORDS,
+    PARTY,
     SMALL,
     word_set,
 )
@@ -37,7 +38,7 @@ def counted(
     """Returns the tags, with the counts that the tagger missed.
 
     These stand before a noun ("2 tickets"), come first ("2 dune") or are in a phrase for the number
-    of people ("my wife and I", "for two").
+    of people ("my wife and I", "for two", "2 adults and a child").
 
     Args:
         words: the words of the sentence.
@@ -53,7 +54,11 @@ def counted(
             is_open = found[at] == OUTSIDE and noun in nouns and slot not in found
             if is_open and lexicon.link(slot, word).is_exact:
                 found[at] = slot
-    main, (first, *_) = lexicon.counted, spans_of(found) or [Span("", 1, 1)]
+    main, text = lexicon.counted, " ".join(words)
+    if main is not None and (party := PARTY.search(text)) is not None:
+        start, end = _place(text, party.span())
+        found[start:end] = [main] * (end - start)
+    first, *_ = spans_of(found) or [Span("", 1, 1)]
     own = " ".join(words[: first.end])
     if first.slot in counts:
         is_named = not set(words[1:2]).isdisjoint(lexicon.phrases.slots[first.slot].nouns)
@@ -75,8 +80,12 @@ def _told(words: Sequence[str]) -> list[tuple[int, int]]:
     """Returns the start and the end of each phrase for a number of people, in words."""
     text = " ".join(words)
     matches = filter(None, (pattern.search(text) for pattern in _COUNTS_TOLD))
-    places = [match.span(match.lastindex or 0) for match in matches]
-    return [(text[:start].count(" "), text[:end].count(" ") + 1) for start, end in places]
+    return [_place(text, match.span(match.lastindex or 0)) for match in matches]
+
+
+def _place(text: str, span: tuple[int, int]) -> tuple[int, int]:
+    """Returns the first word of a span of letters, and the word after its last."""
+    return text[: span[0]].count(" "), text[: span[1]].count(" ") + 1
 
 
 def company(

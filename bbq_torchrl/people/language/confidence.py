@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
 _PEOPLE = 10.0  # prior strength of the grammar's weights for people's sentences
 _GRAMMAR = 1.0
-_WHOLE = 0.3  # log-odds by which the full model is better than those trained on half the lines
+_WHOLE = 0.2  # log-odds by which the full model is better than those trained on half the lines
 CUES = 12
 
 

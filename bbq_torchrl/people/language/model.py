@@ -37,7 +37,8 @@ class Reading:
         requests: the probability that each slot is asked for, ``[S]``.
         dont_care: the probability that each slot does not matter, ``[S]``.
         unknown: the share of words that no training sentence has.
-        foreign: the probability that the sentence is out of domain.
+        foreign: the probability that the sentence is out of domain; with several clauses, its mean
+            with that of the first.
     """
 
     tags: list[str]
@@ -82,7 +83,7 @@ class Model:
             asks,
             _of_slots(dont_care[0], asked),
             self.features.share_unknown(words),
-            acts[0].softmax(-1)[-1].item(),
+            acts[:2].softmax(-1)[:, -1].mean().item(),
         )
 
 

@@ -56,7 +56,7 @@ _PLAYED = 4  # simulated users' sentences to one of the others
 _TAGGED = 16  # the tagger learns from one in this many of these
 _COPIES = 4  # of each of people's sentences, with other values, at most
 _UNKNOWN = 4  # one in this many of the grammar's sentences is also learned with other values
-_FOREIGN = 4  # people's sentences to one out-of-domain sentence
+_FOREIGN = 2  # people's sentences to one out-of-domain sentence
 _SHARE = 4  # the smaller model learns from one in this many of the grammar's sentences
 
 

@@ -179,6 +179,16 @@ def is_farewell(text: str) -> bool:
     return _has_phrase(text, "farewell")
 
 
+def has_bye(text: str) -> bool:
+    """Returns whether a text takes leave in so many words.
+
+    Examples:
+        >>> [has_bye(text) for text in ("thanks, bye", "thanks, that's all")]
+        [True, False]
+    """
+    return _has_phrase(text, "bye")
+
+
 def _has_phrase(text: str, entry: str) -> bool:
     words = f" {' '.join(tokenize(text))} "
     return any(f" {phrase} " in words for phrase in ENGLISH[entry])
@@ -203,6 +213,12 @@ COUNT_WORDS = frozenset(
     NUMBER_WORDS | _ALONE | _COMPANIONS | _PAIRS | _COMPANIES | word_set("around_counts")
 )
 
+_NUMBER, _SORT = ("|".join(sorted(names)) for names in (NUMBER_WORDS, word_set("members")))
+_MEMBER = rf"(?:{_NUMBER}|\d\d?|an?) (?:{_SORT})"
+_JOIN = "|".join(map(re.escape, sorted(word_set("members_join"))))
+PARTY = re.compile(rf"(?<!\S){_MEMBER}(?: (?:(?:{_JOIN}) )*{_MEMBER})+(?!\S)")
+"""Several sorts of people, each with its number: "2 adults and a child"."""
+
 
 def number_of(word: str) -> int | None:
     """Returns the number named by a word or by at most four digits, else ``None``."""
@@ -217,6 +233,8 @@ def read_count(text: str) -> str | None:
     Examples:
         >>> [read_count(t) for t in ("two", "me and my wife", "3 of my friends and me", "-3")]
         ['2', '2', '4', None]
+        >>> read_count("2 adults and a child")
+        '3'
     """
     words = tokenize(text.replace("-", " ") if not re.search(r"-\s*\d", text) else text)
     words = ["with" if word == "w" else word for word in words]
@@ -228,6 +246,10 @@ def read_count(text: str) -> str | None:
     ):
         return None
     has_me = any(word in ("me", "i", "my", "myself") for word in words)
+    if (party := PARTY.search(" ".join(words))) is not None:
+        members = [1 if word in ("a", "an") else number_of(word) or 0 for word in party[0].split()]
+        total = sum(members) + bool({"me", "i", "myself"} & set(words))
+        return str(total) if 0 < total <= 99 else None
     if len(numbers) > 1:
         return None
     if "dozen" in words:

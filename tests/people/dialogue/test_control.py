@@ -28,6 +28,7 @@ class Words(Acts):
             "yes please, i take it": Understood(Frame("request", {}, ("ticket",)), 0.9),
             "lorem ipsum": Understood(Frame("closing"), 0.9),
             "goodbye": Understood(Frame("closing"), 0.9),
+            "thanks, bye": Understood(Frame("thanks"), 0.9),
             "wonka in reno?": Understood(
                 Frame("request", {"moviename": "wonka", "city": "reno"}, ("theater",)), 0.5
             ),
@@ -229,6 +230,13 @@ def test_only_words_of_farewell_end_a_conversation(talk):
     turns = ("lorem ipsum",), ("lorem ipsum",), ("lorem ipsum", "request(city)")
     assert [answer.ended for answer in talk(*turns)] == ["", "", ""]
     assert talk(("goodbye",))[0].ended == "person"
+
+
+def test_thanks_with_a_goodbye_ends_a_conversation_unless_it_takes_an_offer(talk):
+    *_, answer = talk(*KNOWN, ("thanks, bye", "request(city)"))
+    assert (answer.heard, answer.ended) == (Frame("closing"), "person")
+    *_, answer = talk(OFFER, ("thanks, bye", "inform(price)", "thanks"))
+    assert (answer.said.act, answer.ended) == ("thanks", "agent")
 
 
 def test_without_rules_the_agent_has_its_way(talk):

@@ -70,8 +70,8 @@ def test_both_files_of_lines_in_a_domains_folder_are_learned(understand, tmp_pat
     question = Frame("request", {}, ("city",))
     sentences = {"learned.txt": "flibber flobber", "drilled.txt": "wozzle wizzle"}
     for name, sentence in sentences.items():
-        (tmp_path / name).write_text(f"request(city) | {sentence} | closing\n" * 20)
-    taught = Understander.train(replace(movie_domain(), folder=tmp_path), sentences=40)
+        (tmp_path / name).write_text(f"request(city) | {sentence} | closing\n" * 60)
+    taught = Understander.train(replace(movie_domain(), folder=tmp_path), sentences=120)
     for sentence in sentences.values():
         assert understand(sentence, question).frame.act != "closing"
         assert taught(sentence, question).frame == Frame("closing")

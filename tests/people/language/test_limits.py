@@ -65,7 +65,6 @@ def test_a_denied_value_is_reported_and_not_told(lexicon, text, is_tagged):
     "text",
     [
         "why not friday",
-        "friday , not too late please",
         "friday if it is not sold out",
         "no , friday",
         "i don't mind , friday",
@@ -76,6 +75,7 @@ def test_a_denied_value_is_reported_and_not_told(lexicon, text, is_tagged):
         "they won't stop talking about friday",
         "nothing better than friday",
         "i don't care what we see on friday",
+        "i don't want to be late on friday",
     ],
 )
 def test_words_of_denial_about_something_else_leave_the_value(lexicon, text):
@@ -261,6 +261,23 @@ def test_any_good_after_an_offer_is_not_indifference(lexicon):
     assert ANY not in read("any good", {}, lexicon, offer)[0].informs.values()
 
 
+@pytest.mark.parametrize("text", ["not too late please", "nothing too late", "not so late"])
+def test_not_too_late_is_not_late(lexicon, text):
+    frame, unclear = read(
+        text, {"late": "starttime"}, lexicon, Frame("request", {}, ("starttime",))
+    )
+    assert (frame.informs, unclear) == ({}, (Unclear("starttime", "late", is_denied=True),))
+    frame, unclear = read(f"friday , {text}", {"friday": "date"}, lexicon)
+    assert frame.informs == {"date": "friday"}
+    assert unclear == (Unclear("starttime", "late", is_denied=True),)
+
+
+def test_several_sorts_of_people_are_one_number(lexicon):
+    text, tagged = "2 adults and a child for wonka", {"2": "numberofpeople", "wonka": "moviename"}
+    frame, unclear = read(text, tagged, lexicon)
+    assert (frame.informs, unclear) == ({"numberofpeople": "3", "moviename": "wonka"}, ())
+
+
 def test_an_unknown_name_is_reported_with_its_slot_and_words(lexicon):
     frame, unclear = read(
         "2 for xylqo vrit",
@@ -272,9 +289,33 @@ def test_an_unknown_name_is_reported_with_its_slot_and_words(lexicon):
 
 
 def test_what_the_domain_cannot_mean_tells_and_asks_nothing(lexicon):
+    for act in ("request", "closing"):
+        frame, _ = read("will it rain here", {}, lexicon, act=act, foreign=0.9)
+        assert frame == Frame("not_sure")
+
+
+def test_values_in_what_the_domain_cannot_mean_are_kept_to_be_checked(lexicon, understand):
     tagged = {"tulsa": "city", "friday": "date"}
-    frame, _ = read("will it rain in tulsa on friday", tagged, lexicon, foreign=0.9)
-    assert frame == Frame("not_sure")
+    frame, _ = read("will it rain in tulsa on friday", tagged, lexicon, act="closing", foreign=0.9)
+    assert frame == Frame("inform", {"city": "tulsa", "date": "friday"})
+    assert understand.asks(understand("will it rain in tulsa on friday"))
+
+
+@pytest.mark.parametrize("title", ["barbie", "oppenheimer", "the holdovers", "wonka"])
+@pytest.mark.parametrize(
+    "text",
+    ["2 tickets for {} please", "two tickets for {}", "3 seats for {} please", "tickets for {}"],
+)
+def test_a_short_opening_is_in_scope(understand, text, title):
+    frame = understand(text.format(title)).frame
+    assert (frame.act, frame.informs.get("moviename")) == ("request", title)
+    assert ("numberofpeople" in frame.informs) != text.startswith("tickets")
+
+
+def test_a_remark_about_something_else_does_not_hide_a_question(understand):
+    frame = understand("which theater is it at? my dishwasher is leaking").frame
+    assert frame == Frame("request", {}, ("theater",))
+    assert understand("my dishwasher is leaking").frame == Frame("not_sure")
 
 
 def test_no_made_up_name_is_that_of_a_value(lexicon):
