@@ -14,7 +14,7 @@ from bbq_torchrl.domains.values import NONE, RESERVED_TEXT
 from bbq_torchrl.people.dialogue.control import Control
 from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.dialogue.tracker import Acting, Tracking
-from bbq_torchrl.people.language import Frame, TextError, Unclear, Understood
+from bbq_torchrl.people.language import Frame, TextError, Understood
 from bbq_torchrl.people.language.asking import Asking
 from bbq_torchrl.people.language.words import has_bye, has_yes, is_farewell, is_no, is_yes
 from bbq_torchrl.simulator import Simulator
@@ -285,10 +285,12 @@ class Partner:
         rules = self.control.rules
         if "aside" in rules and question is not None:
             understood = self._aside(text, question.requests[:1], understood)
-        informs = self._spelling.of(understood.frame.informs)
-        absent = self._spelling.absent(informs) if "names" in rules else {}
-        unclear = tuple(Unclear(slot, value) for slot, value in absent.items())
-        informs = {slot: value for slot, value in informs.items() if slot not in absent}
+        values = understood.frame.informs
+        if "names" not in rules:
+            frame = replace(understood.frame, informs=self._spelling.of(values))
+            return replace(understood, frame=frame)
+        told = question.informs if question is not None else {}
+        informs, unclear = self._spelling.heard(text, values, told)
         frame = replace(understood.frame, informs=informs)
         return replace(understood, frame=frame, unclear=(*understood.unclear, *unclear))
 

@@ -6,7 +6,9 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.values import RESERVED_TEXT, fold
+from bbq_torchrl.people.language import Unclear
 from bbq_torchrl.people.language.lexicon import Lexicon
+from bbq_torchrl.people.language.quantities import PART_WORDS, read_time
 from bbq_torchrl.people.language.words import tokenize
 
 if TYPE_CHECKING:
@@ -16,6 +18,8 @@ if TYPE_CHECKING:
 
 
 _RESERVED = frozenset(fold(text) for text in RESERVED_TEXT.values())
+_LATER = PART_WORDS - {"morning"} | {"tonight"}
+_CLOCK = 4  # words of a time: "half past eleven"
 
 
 class Spelling:
@@ -56,13 +60,54 @@ class Spelling:
         """Returns the values by slot in that spelling; unknown values are unchanged."""
         return {slot: self._lexicon.respell(slot, value) for slot, value in values.items()}
 
-    def absent(self, values: Mapping[str, str]) -> dict[str, str]:
-        """Returns the values that constrain a booking and that no record has."""
-        return {
-            slot: value
-            for slot, value in values.items()
-            if slot in self._recorded and fold(value) not in self._recorded[slot]
-        }
+    def heard(
+        self, text: str, values: Mapping[str, str], told: Mapping[str, str]
+    ) -> tuple[dict[str, str], tuple[Unclear, ...]]:
+        """Returns a person's values as the records have them, and those that are unclear.
+
+        A part of a day that no record has is left out ("Sunday morning"). A time without am or pm
+        is the one that the agent has just told, or the only one that a record has. What constrains
+        a booking and is in no record is unclear.
+
+        Args:
+            text: the person's text.
+            values: the values heard, by slot.
+            told: the values of the agent's last act.
+
+        Examples:
+            >>> from bbq_torchrl.domains import movie_domain
+            >>> spelling = Spelling(movie_domain())
+            >>> spelling.heard("at 11:35", {"starttime": "11:35 pm"}, {})
+            ({'starttime': '11:35am'}, ())
+        """
+        found: dict[str, str] = {}
+        unclear = []
+        for slot, value in self.of(values).items():
+            options = self._options(text, slot, value, told.get(slot))
+            if len(options) == 1 and self._has(slot, options[0]):
+                found[slot] = options[0]
+            else:
+                unclear.append(Unclear(slot, value, options if len(options) > 1 else ()))
+        return found, tuple(unclear)
+
+    def _has(self, slot: str, value: str) -> bool:
+        """Returns whether a record has a value, or the slot constrains no booking."""
+        return slot not in self._recorded or fold(value) in self._recorded[slot]
+
+    def _options(self, text: str, slot: str, value: str, told: str | None) -> tuple[str, ...]:
+        """Returns the values that a person may mean by one."""
+        lexicon = self._lexicon
+        kind, key = lexicon.kinds.get(slot), lexicon.key(slot, value)
+        if kind == "date" and not self._has(slot, value):
+            day, _, part = key.rpartition(" ")
+            return (lexicon.respell(slot, day),) if part in PART_WORDS and day else (value,)
+        if kind != "time" or (clock := _before_noon(text, key)) is None:
+            return (value,)
+        morning = lexicon.respell(slot, clock)
+        if slot not in self._recorded or not self._has(slot, morning) or told == value:
+            return (value,)
+        is_plain = told == morning or "morning" in tokenize(text) or not self._has(slot, value)
+        return (morning,) if is_plain else (morning, value)
 
     def named(
         self, text: str, slots: Iterable[str], asked: Collection[str] = ()
@@ -80,3 +125,19 @@ class Spelling:
         return tuple(
             slot for slot in slots if words & (nouns[slot] - (set() if slot in asked else spoken))
         )
+
+
+def _before_noon(text: str, key: str) -> str | None:
+    """Returns the time in the morning that a text may mean by a time after noon, else ``None``.
+
+    Args:
+        text: the person's text.
+        key: the canonical key of the time that was heard.
+    """
+    words = tokenize(text)
+    sizes = range(1, _CLOCK + 1)
+    reads = {read_time(" ".join(words[at : at + n])) for at in range(len(words)) for n in sizes}
+    if f"{key}?" not in reads or key in reads or not _LATER.isdisjoint(words):
+        return None
+    hour, minute = key.split()[1].split(":")
+    return f"{(int(hour) - 12) or 12}:{minute} am" if key.startswith("at ") else None

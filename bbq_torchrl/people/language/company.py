@@ -14,6 +14,8 @@ from bbq_torchrl.people.language.words import (
     NUMBER_WORDS,
     PARTY,
     SMALL,
+    compact,
+    number_of,
     word_set,
 )
 
@@ -38,7 +40,7 @@ def counted(
     """Returns the tags, with the counts that the tagger missed.
 
     These stand before a noun ("2 tickets"), come first ("2 dune") or are in a phrase for the number
-    of people ("my wife and I", "for two", "2 adults and a child").
+    of people ("my wife and I", "for two", "2 adults and a child"). An hour after "at" is none.
 
     Args:
         words: the words of the sentence.
@@ -46,7 +48,7 @@ def counted(
         question: the agent's last act.
         lexicon: the domain's values.
     """
-    found = list(tags)
+    found = _with_hours(words, tags, lexicon)
     counts = [slot for slot in lexicon.slots if lexicon.kinds[slot] == "count"]
     for slot in counts:
         nouns = set(lexicon.phrases.slots[slot].nouns) - SMALL
@@ -73,6 +75,19 @@ def counted(
             if is_open and lexicon.link(main, " ".join(words[start:end])).is_exact:
                 found[start:end] = [main] * (end - start)
                 break
+    return found
+
+
+def _with_hours(words: Sequence[str], tags: Sequence[str], lexicon: Lexicon) -> list[str]:
+    """Returns the tags; a number that ends a phrase after "at" is an hour: "a ticket at 8"."""
+    found = list(tags)
+    slot = next((slot for slot, kind in lexicon.kinds.items() if kind == "time"), None)
+    for at, (before, word) in enumerate(pairwise(words), 1):
+        after = words[at + 1] if at + 1 < len(words) else "."
+        ends = after in SMALL or not compact(after) or tags[at + 1] != OUTSIDE
+        is_hour = before == "at" and ends and 1 <= (number_of(word) or 0) <= 12
+        if slot and is_hour and (tags[at] == OUTSIDE or lexicon.kinds.get(tags[at]) == "count"):
+            found[at] = slot
     return found
 
 

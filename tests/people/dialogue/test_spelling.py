@@ -73,3 +73,29 @@ def test_a_simulated_user_takes_an_offer_in_another_spelling(movie, spelling, mo
             user.say(None)
             told = Frame("inform", {**offered, movie.complete_slot: "ticket available"})
             assert (Frame.parse(user.say(told)).act == "deny") == (offered is wrong)
+
+
+@pytest.mark.parametrize(
+    ("text", "heard", "told", "meant"),
+    [
+        ("11:35", {"starttime": "11:35 pm"}, {}, {"starttime": "11:35am"}),  # no record at night
+        ("10:05", {"starttime": "10:05 pm"}, {"starttime": "10:05am"}, {"starttime": "10:05am"}),
+        ("10:05", {"starttime": "10:05 pm"}, {"starttime": "10:05 pm"}, {"starttime": "10:05 pm"}),
+        ("10:05 pm", {"starttime": "10:05 pm"}, {}, {"starttime": "10:05 pm"}),
+        ("22:05", {"starttime": "10:05 pm"}, {}, {"starttime": "10:05 pm"}),
+        ("tonight, 10:05", {"starttime": "10:05 pm"}, {}, {"starttime": "10:05 pm"}),
+        ("the morning show at 10:05", {"starttime": "10:05 pm"}, {}, {"starttime": "10:05am"}),
+        ("half past seven", {"starttime": "7:30 pm"}, {}, {"starttime": "7:30 pm"}),
+        ("sunday morning", {"date": "sunday morning"}, {}, {"date": "sunday"}),
+        ("saturday night", {"date": "saturday night"}, {}, {"date": "saturday night"}),
+    ],
+)
+def test_a_time_or_day_is_the_one_that_records_have(spelling, text, heard, told, meant):
+    assert spelling.heard(text, heard, told) == (spelling.of(meant), ())
+
+
+@pytest.mark.parametrize("text", ["10:05", "five past ten"])
+def test_a_time_that_is_shown_in_the_morning_and_at_night_is_asked_about(spelling, text):
+    informs, (unclear,) = spelling.heard(text, {"starttime": "10:05 pm", "city": "reno"}, {})
+    assert informs == {"city": "reno"}
+    assert (unclear.slot, unclear.candidates) == ("starttime", ("10:05am", "10:05 pm"))
