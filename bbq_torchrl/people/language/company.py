@@ -11,7 +11,7 @@ from bbq_torchrl.people.language.learners import OUTSIDE, Span, spans_of
 from bbq_torchrl.people.language.words import (
     COUNT_WORDS,
     ENGLISH,
-    NUMBER_WORDS,
+    NUMBER,
     PARTY,
     SMALL,
     compact,
@@ -25,11 +25,10 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains.frames import Frame
     from bbq_torchrl.people.language.lexicon import Lexicon
 
-_NUMBER = rf"(?:{'|'.join(sorted(NUMBER_WORDS))}|\d\d?)"
 _COMPANIONS = word_set("companions") | word_set("companies") | word_set("pairs")
 _COMPANION = rf"(?:{'|'.join(sorted(_COMPANIONS))})"
 _COUNTS_TOLD = [
-    re.compile(pattern.replace("<number>", _NUMBER).replace("<companion>", _COMPANION))
+    re.compile(pattern.replace("<number>", NUMBER).replace("<companion>", _COMPANION))
     for pattern in ENGLISH["counts_told"]
 ]
 
@@ -40,7 +39,7 @@ def counted(
     """Returns the tags, with the counts that the tagger missed.
 
     These stand before a noun ("2 tickets"), come first ("2 dune") or are in a phrase for the number
-    of people ("my wife and I", "for two", "2 adults and a child"). An hour after "at" is none.
+    of people ("my wife and I", "for two", "2 adults and a child"). A number after "at" is an hour.
 
     Args:
         words: the words of the sentence.

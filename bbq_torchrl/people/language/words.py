@@ -176,7 +176,7 @@ def is_farewell(text: str) -> bool:
         >>> [is_farewell(text) for text in ("ok, bye", "forget the date. any date")]
         [True, False]
     """
-    return _has_phrase(text, "farewell")
+    return has_bye(text) or _has_phrase(text, "farewell")
 
 
 def has_bye(text: str) -> bool:
@@ -213,8 +213,10 @@ COUNT_WORDS = frozenset(
     NUMBER_WORDS | _ALONE | _COMPANIONS | _PAIRS | _COMPANIES | word_set("around_counts")
 )
 
-_NUMBER, _SORT = ("|".join(sorted(names)) for names in (NUMBER_WORDS, word_set("members")))
-_MEMBER = rf"(?:{_NUMBER}|\d\d?|an?) (?:{_SORT})"
+NUMBER = rf"(?:{'|'.join(sorted(NUMBER_WORDS))}|\d\d?)"
+"""A regular expression of a number."""
+
+_MEMBER = rf"(?:{NUMBER}|an?) (?:{'|'.join(sorted(word_set('members')))})"
 _JOIN = "|".join(map(re.escape, sorted(word_set("members_join"))))
 PARTY = re.compile(rf"(?<!\S){_MEMBER}(?: (?:(?:{_JOIN}) )*{_MEMBER})+(?!\S)")
 """Several sorts of people, each with its number: "2 adults and a child"."""
