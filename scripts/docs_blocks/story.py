@@ -29,6 +29,9 @@ SEARCHED = [
 SEARCHED_LONG = ("searched/table1_bbqn", "searched/table1_dqn_boltzmann")
 """The folders of both searched in Table 1's setting, which only the full domain has."""
 
+QUANTITIES = ("early", "final")
+"""Shares booked of the first dialogues and by the final evaluation."""
+
 BY_ENV = "{} in the full domain, {} in domain extension"
 
 
@@ -78,19 +81,28 @@ def _finals(names: Iterable[str]) -> list[list[float]]:
 
 @block("results.early")
 def _early() -> str:
-    """Returns the sentence on BBQN-MAP's success in its first dialogues."""
-    soft = _of_each(SOFT, "early")
-    return (
-        f"Of its first {pairs.EARLY:,} training dialogues BBQN-MAP books less than DQN-Boltzmann: "
-        f"{BY_ENV.format(*_differences('BBQN-MAP', 'DQN-Boltzmann', 'early'))} (difference of the "
-        f"shares booked, by pairs). The default of `agent=bbqn`, Soft BBQN-MAP: "
-        f"{BY_ENV.format(*soft)}. With the settings of a [search with equal "
-        "rounds](docs/learning_starts.md#the-same-budget-in-rounds) for each, 60 rounds: "
-        f"{BY_ENV.format(*_of_each(SEARCHED, 'early'))}; at the end "
-        f"{BY_ENV.format(*_of_each(SEARCHED, 'final'))}. In Table 1's setting of the full "
-        f"domain, 150 rounds: {_of_folders(*SEARCHED_LONG, 'early')}; at the end "
-        f"{_of_folders(*SEARCHED_LONG, 'final')}."
+    """Returns BBQN minus DQN-Boltzmann, early and at the end, in each setting."""
+    rounds = groups(SEARCHED[0][0])[0].first.rounds
+    rows = {
+        "Table 1: BBQN-MAP": [
+            _differences("BBQN-MAP", "DQN-Boltzmann", quantity) for quantity in QUANTITIES
+        ],
+        "Table 1: Soft BBQN-MAP, the default of `agent=bbqn`": [
+            _of_each(SOFT, quantity) for quantity in QUANTITIES
+        ],
+        f"both searched, {rounds} rounds": [
+            _of_each(SEARCHED, quantity) for quantity in QUANTITIES
+        ],
+        "both searched, in Table 1's setting": [
+            [_of_folders(*SEARCHED_LONG, quantity), "not run"] for quantity in QUANTITIES
+        ],
+    }
+    first = f"first {pairs.EARLY:,} dialogues"
+    header = (
+        "BBQN minus DQN-Boltzmann",
+        *(f"{what}, {env}" for what in (first, "end") for env in ("full", "extension")),
     )
+    return table(header, [(name, *early, *end) for name, (early, end) in rows.items()])
 
 
 def _most_unspiked() -> tuple[str, int, int, int]:
