@@ -74,6 +74,7 @@ def _cartpole() -> str:
 @block("learning.early", "tried_early.csv", "evaluation_20", "evaluated after 20 rounds")
 @block("learning.targets", "tried_targets.csv", "late_success", "rounds 26 to 30")
 @block("learning.experience", "tried_experience.csv", "success_rate", "final")
+@block("learning.end", "tried_end.csv", "success_rate", "final")
 def _tried(file: str, end: str, name: str) -> str:
     """Returns each variant's difference from the first one, by pairs of seeds.
 
