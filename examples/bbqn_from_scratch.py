@@ -37,7 +37,8 @@ PRIOR_STD = 0.037  # the prior of every weight is N(0, PRIOR_STD²)
 STD_INIT = 0.09  # initial σ of every weight
 NOISE_STD = 1.0  # noise of the targets, in units of Q: the likelihood is N(target; Q, NOISE_STD²)
 KL_TEMPERATURE = 0.014  # factor on the KL; 1 would be Bayes' rule
-GAMMA, LEARNING_RATE = 0.9, 2e-3
+GAMMA = 0.9
+LEARNING_RATE, FINAL_RATE = 2e-3, 0.05  # the second is a factor, reached in the last round
 
 Policy = Callable[[TensorDict], TensorDict]
 
@@ -180,12 +181,18 @@ def learn(net: BayesQNetwork, optimizer: torch.optim.Optimizer, data: TensorDict
                 optimizer.step()
 
 
+def rate_of(number: int, rounds: int) -> float:
+    """Returns the factor on the learning rate in a round from 0: 1 at first, falling at half."""
+    return 1 - (1 - FINAL_RATE) * max(0.0, 2 * (number + 1) / rounds - 1)
+
+
 def train(seed: int, rounds: int, dialogues: int) -> float:
     """Trains an agent; returns the mean network's success in ``dialogues`` new dialogues."""
     torch.manual_seed(seed)
     env = DialogueEnv(movie_domain(), batch_size=(DIALOGUES,), seed=seed)
     net = BayesQNetwork(env.layout.size, len(env.domain.actions))
     optimizer = torch.optim.Adam(net.parameters(), LEARNING_RATE, fused=True)
+    schedule = torch.optim.lr_scheduler.LambdaLR(optimizer, lambda number: rate_of(number, rounds))
 
     # Spiking: random actions succeed in one of 2,000 dialogues, so the agent would learn nothing
     # without some successes of a simple agent. These transitions are never evicted.
@@ -196,6 +203,7 @@ def train(seed: int, rounds: int, dialogues: int) -> float:
         transitions, success = play(env, policy_of(net, "draws"))
         own = torch.cat([own, transitions])[-(CAPACITY - len(spiked)) :]
         learn(net, optimizer, torch.cat([spiked, own]))
+        schedule.step()
         print(f"round {number + 1:2}  success {success:.2f}")
 
     test = DialogueEnv(env.domain, batch_size=(dialogues,), seed=seed + 1_000_000)

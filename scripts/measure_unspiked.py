@@ -1,9 +1,9 @@
 """Condenses benchmarks without spiking into ``results/unspiked.csv``, a row for each seed.
 
     bbq bench runs/unspiked_hotel --agents <agents> --domains hotel --errors reference \
-        --budgets 500 1000 2000 --set protocol=quick spike=none threads=1
+        --budgets 500 1000 2000 --set protocol=quick protocol.lr_final=1 spike=none threads=1
     bbq bench runs/unspiked_movie --agents <agents> --domains movie --errors reference \
-        --budgets 2000 7500 --set protocol=quick spike=none threads=1
+        --budgets 2000 7500 --set protocol=quick protocol.lr_final=1 spike=none threads=1
     python scripts/measure_unspiked.py runs/unspiked_hotel runs/unspiked_movie
 
 docs/all_results.md has the agents. ``first_success`` counts training dialogues in whole rounds.

@@ -1,11 +1,12 @@
 """Measures agents on users they have and have not learned from: ``results/users.csv``.
 
     for agent in bbqn dqn bootstrap; do for users in people paper; do
-    python train.py agent=$agent protocol=quick env.users=$users replicas=2 seed=910 \
-        hydra.run.dir=runs/users/${agent}_$users; done; done
+    python train.py agent=$agent protocol=quick protocol.lr_final=1 env.users=$users \
+        replicas=2 seed=910 hydra.run.dir=runs/users/${agent}_$users; done; done
     for users in people paper; do
-    python train.py agent=bbqn protocol=quick env.users=$users replicas=2 seed=910 spike=imitate \
-        spike.dialogues=300 hydra.run.dir=runs/users/imitate_$users; done
+    python train.py agent=bbqn protocol=quick protocol.lr_final=1 env.users=$users \
+        replicas=2 seed=910 spike=imitate spike.dialogues=300 \
+        hydra.run.dir=runs/users/imitate_$users; done
     python scripts/measure_users.py shipped:bbqn_map shipped:dqn runs/users/* [--dialogues 2000]
 
 plays these runs and the scripted policy ``repair`` with the users of both kinds. ``answers`` is the

@@ -118,12 +118,13 @@ class PaperProtocol(ProtocolOption):
 @register
 @dataclass
 class QuickProtocol(ProtocolOption):
-    """A minute on one core: fewer rounds, larger batches and a smaller buffer."""
+    """A minute on one core: fewer rounds, larger batches, a smaller buffer, a rate that falls."""
 
     name: str = option("quick")
     rounds: int = other_default(ProtocolOption, "rounds", 40)
     batch_size: int = other_default(ProtocolOption, "batch_size", 128)
     lr: float = other_default(ProtocolOption, "lr", 2e-3)
+    lr_final: float = other_default(ProtocolOption, "lr_final", 0.05)
     epochs: int = other_default(ProtocolOption, "epochs", 3)
     capacity: int = other_default(ProtocolOption, "capacity", 5_000)
     eval_dialogues: int = other_default(ProtocolOption, "eval_dialogues", 2_000)

@@ -42,7 +42,7 @@ class Learned(NamedTuple):
 
 
 def time_to_learn(sizes: Sizes) -> list[Row]:
-    """Processor time of ``protocol=quick`` until evaluation success.
+    """Processor time of ``protocol=quick``, at a constant learning rate, until evaluation success.
 
     From the start of the process: imports, spiking, rounds, evaluations and checkpoints. Who is not
     there after the protocol's rounds goes on, with all schedules at their end, for up to
@@ -51,7 +51,9 @@ def time_to_learn(sizes: Sizes) -> list[Row]:
     start = processes.python("-c", "import bbq_torchrl.runs.train").cpu
     rows = []
     for name in ("bbqn-map", "dqn"):
-        overrides = (*AGENTS[name], "protocol=quick", *sizes.overrides, *sizes.learning_overrides)
+        # At a rate that has fallen, nobody who is late would get there.
+        protocol = ("protocol=quick", "protocol.lr_final=1")
+        overrides = (*AGENTS[name], *protocol, *sizes.overrides, *sizes.learning_overrides)
         learned = [
             train([*overrides, f"seed={seed}"], sizes.learning_rounds)
             for seed in range(sizes.learning_seeds)

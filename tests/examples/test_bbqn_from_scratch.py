@@ -132,8 +132,12 @@ def test_the_numbers_are_those_of_the_quick_protocol(example):
         "KL_TEMPERATURE": agent.kl_temperature,
         "GAMMA": agent.gamma,
         "LEARNING_RATE": agent.lr,
+        "FINAL_RATE": protocol.lr_final,
     }
     assert {name: example[name] for name in numbers} == numbers
+    for number in range(protocol.rounds):
+        rate = example["rate_of"](number, protocol.rounds)
+        assert rate == pytest.approx(protocol.lr_share(number))
 
 
 def test_a_tiny_training_learns_from_the_spike_and_adds_a_line(
