@@ -184,11 +184,8 @@ def _quick() -> str:
 @block("learning.expect")
 def _expect() -> str:
     """Returns the sentence on the outcome of the README's first command."""
-    finals = [
-        final
-        for group in groups("quick", "quick_soft/soft", "quick_again")
-        for final in group.final
-    ]
+    (group,) = groups("quick")
+    finals = group.final
     low, mean, high = (f"{of(finals):.2f}" for of in (min, fmean, max))
     return (
         "Success stays near zero for the first five rounds, then rises: "

@@ -26,6 +26,9 @@ SEARCHED = [
 ]
 """Folders of BBQN and DQN-Boltzmann in each environment: BBQN's default, and both searched."""
 
+QUICK = ("quick_rate/bbqn_falling", "quick_rate/dqn_boltzmann_falling")
+"""The folders of both with their defaults in the quick form of the full domain."""
+
 SEARCHED_LONG = ("searched/table1_bbqn", "searched/table1_dqn_boltzmann")
 """The folders of both searched in Table 1's setting, which only the full domain has."""
 
@@ -89,6 +92,9 @@ def _early() -> str:
         ],
         "Table 1: Soft BBQN-MAP, the default of `agent=bbqn`": [
             _of_each(SOFT, quantity) for quantity in QUANTITIES
+        ],
+        "`protocol=quick`: Soft BBQN-MAP": [
+            [_of_folders(*QUICK, quantity), "not run"] for quantity in QUANTITIES
         ],
         f"both searched, {rounds} rounds": [
             _of_each(SEARCHED, quantity) for quantity in QUANTITIES
