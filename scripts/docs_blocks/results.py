@@ -227,7 +227,7 @@ def _searched() -> str:
     """Returns the searched settings of agents next to the defaults, and differences by pairs."""
     budgets = (500, 1_000, 3_000)
     settings = ("searched", "default")
-    agents = ("bbqn", "dqn_boltzmann", "dqn")
+    agents = ("bbqn", "dqn_boltzmann", "noisy_dqn", "dqn")
     keys = [f"{agent}_{setting}" for agent in agents for setting in settings]
     keys[2:2] = ["bbqn_posterior", "bbqn_learner"]
     keys += [f"extension_{agent}_searched" for agent in agents[:2]]
@@ -243,7 +243,11 @@ def _searched() -> str:
         names[key] = name + (", domain extension" if key.startswith("extension") else "")
     rows = [_booked(names[key], group, budgets) for key, group in found.items()]
     compared = [(f"{agent}_searched", f"{agent}_default") for agent in agents]
-    compared += [(f"bbqn_{setting}", f"dqn_boltzmann_{setting}") for setting in settings[::-1]]
+    compared += [
+        (f"bbqn_{setting}", f"{other}_{setting}")
+        for other in agents[1:3]
+        for setting in settings[::-1]
+    ]
     compared.append(("extension_bbqn_searched", "extension_dqn_boltzmann_searched"))
     differences = []
     for one, other in compared:
