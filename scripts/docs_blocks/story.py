@@ -191,8 +191,8 @@ def _story() -> str:
         (
             "Nobody learns without spiking",
             f"BBQN-MAP and DQN by ε .04: no success in {unspiked:,} dialogues, where uniformly "
-            f"random actions succeed in one of 2,000; with more random actions {most} of {seeds} "
-            f"seeds of {code(agent)} reach .3 in training within {dialogues:,} dialogues",
+            f"random actions succeed in one of 2,000; but {most} of {seeds} seeds of {code(agent)} "
+            f"reach .3 in training within {dialogues:,} dialogues",
             "no" if most else "not shown",
         ),
     ]
