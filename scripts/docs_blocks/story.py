@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from statistics import fmean
 from typing import TYPE_CHECKING
 
@@ -31,9 +32,6 @@ QUICK = ("quick_rate/bbqn_falling", "quick_rate/dqn_boltzmann_falling")
 
 SEARCHED_LONG = ("searched/table1_bbqn", "searched/table1_dqn_boltzmann")
 """The folders of both searched in Table 1's setting, which only the full domain has."""
-
-QUANTITIES = ("early", "final")
-"""Shares booked of the first dialogues and by the final evaluation."""
 
 BY_ENV = "{} in the full domain, {} in domain extension"
 
@@ -86,29 +84,24 @@ def _finals(names: Iterable[str]) -> list[list[float]]:
 def _early() -> str:
     """Returns BBQN minus DQN-Boltzmann, early and at the end, in each setting."""
     rounds = groups(SEARCHED[0][0])[0].first.rounds
-    rows = {
-        "Table 1: BBQN-MAP": [
-            _differences("BBQN-MAP", "DQN-Boltzmann", quantity) for quantity in QUANTITIES
-        ],
-        "Table 1: Soft BBQN-MAP, the default of `agent=bbqn`": [
-            _of_each(SOFT, quantity) for quantity in QUANTITIES
-        ],
-        "`protocol=quick`: Soft BBQN-MAP": [
-            [_of_folders(*QUICK, quantity), "not run"] for quantity in QUANTITIES
-        ],
-        f"both searched, {rounds} rounds": [
-            _of_each(SEARCHED, quantity) for quantity in QUANTITIES
-        ],
-        "both searched, in Table 1's setting": [
-            [_of_folders(*SEARCHED_LONG, quantity), "not run"] for quantity in QUANTITIES
-        ],
+    settings = {
+        "Table 1: BBQN-MAP": partial(_differences, "BBQN-MAP", "DQN-Boltzmann"),
+        "Table 1: Soft BBQN-MAP, the default of `agent=bbqn`": partial(_of_each, SOFT),
+        "`protocol=quick`: Soft BBQN-MAP": partial(_of_each, [QUICK]),
+        f"both searched, {rounds} rounds": partial(_of_each, SEARCHED),
+        "both searched, in Table 1's setting": partial(_of_each, [SEARCHED_LONG]),
     }
-    first = f"first {pairs.EARLY:,} dialogues"
-    header = (
-        "BBQN minus DQN-Boltzmann",
-        *(f"{what}, {env}" for what in (first, "end") for env in ("full", "extension")),
-    )
-    return table(header, [(name, *early, *end) for name, (early, end) in rows.items()])
+    quantities = {"early": f"first {pairs.EARLY:,} dialogues", "final": "end"}
+    environments = ("full", "extension")
+    header = (f"{what}, {env}" for what in quantities.values() for env in environments)
+    rows = []
+    for name, differences in settings.items():
+        cells: list[object] = [name]
+        for quantity in quantities:
+            found = differences(quantity)
+            cells += [*found, *["not run"] * (len(environments) - len(found))]
+        rows.append(cells)
+    return table(("BBQN minus DQN-Boltzmann", *header), rows)
 
 
 def _most_unspiked() -> tuple[str, int, int, int]:

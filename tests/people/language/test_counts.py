@@ -1,4 +1,4 @@
-"""Numbers of people, and numbers that are none."""
+"""Counts of people, and numbers that count something else."""
 
 from __future__ import annotations
 
