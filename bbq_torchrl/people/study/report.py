@@ -182,8 +182,9 @@ def _uncertainty(results: Results) -> Iterator[str]:
             "Area under the curve as a sign of failure, with 95 % bootstrap intervals over people "
             "(Newcombe's where all resamples are ordered alike): .5 says nothing, 1 all. "
             "Entropy is that of the best action, a mean over a session's "
-            "answers or over its first ones; length is the number of messages. Conversations that "
-            "fail are long: a sign that comes no sooner than length and is no better adds nothing."
+            "answers or over its first ones; length is the number of messages. Where conversations "
+            "that fail are long, a sign that comes no sooner than length and is no better adds "
+            "nothing."
         )
 
 
