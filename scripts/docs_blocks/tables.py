@@ -207,12 +207,13 @@ def _trained() -> str:
 @block("shipped")
 def _shipped() -> str:
     """Returns the shipped agents, their commands and their success."""
-    results = {name: read_result(SHIPPED / name) for name in shipped_agents()}
-    rows = [
-        (code(f"{PREFIX}{name}"), code(command(SHIPPED / name)), one.rounds, _rate(vars(one)))
-        for name, one in results.items()
-    ]
-    return table(("name", "trained by", "rounds", "success"), rows, numbers=2)
+    rows = []
+    for name in shipped_agents():
+        folder = SHIPPED / name
+        one = read_result(folder)
+        shown = (code(f"{PREFIX}{name}"), code(command(folder)), one.code, one.rounds)
+        rows.append((*shown, _rate(vars(one))))
+    return table(("name", "trained by", "at commit", "rounds", "success"), rows, numbers=2)
 
 
 def measured() -> dict[tuple[str, str, str], dict[str, Any]]:
