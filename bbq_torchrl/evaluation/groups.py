@@ -258,8 +258,11 @@ def commits_text(groups: Sequence[Group]) -> str:
     together: dict[str, list[str]] = {}
     for group in groups:
         together.setdefault(group.commit, []).append(group.label)
-    if len({replica.result.code for group in groups for replica in group.replicas}) == 1:
-        return f"All runs are of commit {groups[0].commit}."
+    if len(together) == 1:
+        (commit,) = together
+        if len({replica.result.code for replica in groups[0].replicas}) > 1:
+            return f"All have runs of several commits: {commit}."
+        return f"All runs are of commit {commit}."
     lines = [f"- {commit}: {'; '.join(labels)}" for commit, labels in together.items()]
     return "\n".join(["The runs are of different commits:\n", *lines])
 

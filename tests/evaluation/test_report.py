@@ -150,4 +150,4 @@ def test_a_report_says_which_commits_the_runs_are_of(add, report, tmp_path):
     for form in ("--table1", "--grid"):
         assert "different commits:\n\n- c33954a: " in report(form, runs=[bbqn, dqn])
     mixed = report(runs=[bbqn, add(GOOD, seed=3)])
-    assert mixed.endswith("The runs are of different commits:\n\n- c33954a; unknown: BBQN-MAP\n")
+    assert mixed.endswith("All have runs of several commits: c33954a; unknown.\n")
