@@ -30,8 +30,11 @@ SEARCHED = [
 QUICK = ("quick_rate/bbqn_falling", "quick_rate/dqn_boltzmann_falling")
 """The folders of both with their defaults in the quick form of the full domain."""
 
-SEARCHED_LONG = ("searched/table1_bbqn", "searched/table1_dqn_boltzmann")
-"""The folders of both searched in Table 1's setting, which only the full domain has."""
+SEARCHED_LONG = [
+    (f"searched/table1_{env}bbqn", f"searched/table1_{env}dqn_boltzmann")
+    for env in ("", "extension_")
+]
+"""The folders of both searched in Table 1's setting, in each environment."""
 
 BY_ENV = "{} in the full domain, {} in domain extension"
 
@@ -89,7 +92,7 @@ def _early() -> str:
         "Table 1: Soft BBQN-MAP, the default of `agent=bbqn`": partial(_of_each, SOFT),
         "`protocol=quick`: Soft BBQN-MAP": partial(_of_each, [QUICK]),
         f"both searched, {rounds} rounds": partial(_of_each, SEARCHED),
-        "both searched, in Table 1's setting": partial(_of_each, [SEARCHED_LONG]),
+        "both searched, in Table 1's setting": partial(_of_each, SEARCHED_LONG),
     }
     quantities = {"early": f"first {pairs.EARLY:,} dialogues", "final": "end"}
     environments = ("full", "extension")
@@ -147,7 +150,7 @@ def _story() -> str:
             f"{BY_ENV.format(*soft)}; both [searched "
             "again](learning_starts.md#the-same-budget-in-rounds), 60 rounds: "
             f"{BY_ENV.format(*_of_each(SEARCHED, 'early'))}, and in Table 1's setting "
-            f"{_of_folders(*SEARCHED_LONG, 'early')} in the full domain",
+            f"{BY_ENV.format(*_of_each(SEARCHED_LONG, 'early'))}",
             _verdict(*soft),
         ),
         (
@@ -168,7 +171,7 @@ def _story() -> str:
             + " and ".join(f"{lead:+.3f}" for lead in leads)
             + "; BBQN-MAP minus DQN-Boltzmann with [searched settings]"
             f"(learning_starts.md#the-same-budget-in-rounds): {level} in the full domain, both "
-            f"searched: {_of_folders(*SEARCHED_LONG, 'final')}",
+            f"searched: {BY_ENV.format(*_of_each(SEARCHED_LONG, 'final'))}",
             _verdict(*final, level),
         ),
         (
