@@ -6,7 +6,8 @@
         --budgets 2000 7500 --set protocol=quick protocol.lr_final=1 spike=none threads=1
     python scripts/measure_unspiked.py runs/unspiked_hotel runs/unspiked_movie
 
-docs/all_results.md has the agents. ``first_success`` counts training dialogues in whole rounds.
+docs/all_results.md has the agents. Rows of other agents stay as they are. ``first_success`` counts
+training dialogues in whole rounds.
 """
 
 from __future__ import annotations
@@ -61,10 +62,14 @@ def rows(folder: Path) -> list[dict[str, Any]]:
 
 
 def main() -> None:
-    """Writes the rows of all folders."""
+    """Writes the rows of all folders, and keeps those of agents that they do not have."""
     parser = argparse.ArgumentParser(description=__doc__.partition("\n")[0])
     parser.add_argument("folders", nargs="+", type=Path, help="of bbq bench")
     found = [row for folder in parser.parse_args().folders for row in rows(folder)]
+    new = {(row["domain"], row["agent"]) for row in found}
+    with RESULT.open(encoding="utf-8") as file:
+        kept = [row for row in csv.DictReader(file) if (row["domain"], row["agent"]) not in new]
+    found = sorted(kept + found, key=lambda row: row["domain"], reverse=True)
     with RESULT.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=list(found[0]), lineterminator="\n")
         writer.writeheader()
