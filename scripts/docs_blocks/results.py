@@ -227,7 +227,7 @@ def _searched() -> str:
     """Returns the searched settings of agents next to the defaults, and differences by pairs."""
     budgets = (500, 1_000, 3_000)
     settings = ("searched", "default")
-    agents = ("bbqn", "dqn_boltzmann", "noisy_dqn", "dqn", "dqn_vime")
+    agents = ("bbqn", "dqn_boltzmann", "noisy_dqn", "dqn", "dqn_bootstrap", "dqn_vime")
     keys = [f"{agent}_{setting}" for agent in agents for setting in settings]
     keys[2:2] = ["bbqn_posterior", "bbqn_learner"]
     keys += [f"extension_{agent}_searched" for agent in agents[:2]]
