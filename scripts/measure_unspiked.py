@@ -69,11 +69,10 @@ def main() -> None:
     new = {(row["domain"], row["agent"]) for row in found}
     with RESULT.open(encoding="utf-8") as file:
         kept = [row for row in csv.DictReader(file) if (row["domain"], row["agent"]) not in new]
-    found = sorted(kept + found, key=lambda row: row["domain"], reverse=True)
     with RESULT.open("w", newline="", encoding="utf-8") as file:
         writer = csv.DictWriter(file, fieldnames=list(found[0]), lineterminator="\n")
         writer.writeheader()
-        writer.writerows(found)
+        writer.writerows(kept + found)
 
 
 if __name__ == "__main__":

@@ -58,6 +58,11 @@ def _range(rates: Sequence[float]) -> str:
     return f"{_short(min(rates))} to {_short(max(rates))}"
 
 
+def _dialogues(group: Group) -> int:
+    """Returns the training dialogues of each seed."""
+    return group.round_dialogues * group.first.rounds
+
+
 def _cells() -> dict[str, dict[str, Group]]:
     """Returns the runs of Table 1: environment -> agent -> group."""
     return {env: table1.find_cells(groups(folder), env) for env, folder in TABLE1.items()}
@@ -137,14 +142,9 @@ def _story() -> str:
     by_epsilon, greedily = (
         groups(f"explorers/dqn/{name}")[0] for name in ("0_epsilon_greedy", "1_greedy")
     )
-    unspiked = sum(
-        group.round_dialogues * group.first.rounds * len(group.final)
-        for group in groups("no_spike")
-    )
-    (spikeless,) = groups("ablations/spike_none")
-    ablated = spikeless.cumulative
-    found = sum(booked > 0 for booked in ablated)
-    size = spikeless.round_dialogues * spikeless.first.rounds
+    unspiked = sum(_dialogues(group) * len(group.final) for group in groups("no_spike"))
+    (ablated,) = groups("ablations/spike_none")
+    found = sum(share > 0 for share in ablated.cumulative)
     agent, most, seeds, dialogues = _most_unspiked()
     rows = [
         (
@@ -190,9 +190,10 @@ def _story() -> str:
         (
             "Nobody learns without spiking",
             f"BBQN-MAP and DQN by ε .04: no success in {unspiked:,} dialogues, where uniformly "
-            f"random actions succeed in one of 2,000; a first success within {size:,} dialogues "
-            f"for {found} of {len(ablated)} other seeds of BBQN-MAP; but {most} of {seeds} seeds "
-            f"of {code(agent)} reach .3 in training within {dialogues:,} dialogues",
+            "random actions succeed in one of 2,000; a first success within "
+            f"{_dialogues(ablated):,} dialogues for {found} of {len(ablated.final)} other seeds of "
+            f"BBQN-MAP; but {most} of {seeds} seeds of {code(agent)} reach .3 in training within "
+            f"{dialogues:,} dialogues",
             "no" if most else "not shown",
         ),
     ]
