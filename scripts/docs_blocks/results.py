@@ -197,7 +197,7 @@ def _expect() -> str:
 @block("learning.spikes")
 def _spikes() -> str:
     """Returns the table of what the buffer is spiked with."""
-    head = ("spiked with", "agent", "env", "rounds", "seeds")
+    head = ("spiked with", "agent", "env", "rounds", "rate", "seeds")
     shown = []
     for group in groups("quick_soft/soft", "spikes"):
         setting = group.setting
@@ -207,8 +207,9 @@ def _spikes() -> str:
             spike += ", imitated"
         about = (spike, group.label.partition(",")[0], setting["env.name"])
         booked = [str(estimate(group.booked(first))) for first in _SPIKED]
-        rounds, seeds = setting["protocol.rounds"], len(group.final)
-        shown.append((*about, str(rounds), str(seeds), *booked, str(estimate(group.final))))
+        rate = "constant" if setting["protocol.lr_final"] == 1 else "falls"
+        trained = (str(setting["protocol.rounds"]), rate, str(len(group.final)))
+        shown.append((*about, *trained, *booked, str(estimate(group.final))))
     shown.sort(key=lambda row: (int(row[3]), row[2] != "full", float(row[-1].partition(" ")[0])))
     return table((*head, *(f"booked after {n:,}" for n in _SPIKED), "final"), shown)
 
