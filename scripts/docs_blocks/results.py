@@ -202,7 +202,7 @@ def _spikes() -> str:
     for group in groups("quick_soft/soft", "spikes"):
         setting = group.setting
         spike = setting["spike.policy"] or {"rule": "rule"}.get(setting["spike.name"], "repair")
-        spike = f"{setting['spike.dialogues']} of {code(spike)}"
+        spike = f"{setting['spike.dialogues']:,} of {code(spike)}"
         if setting.get("spike.margin"):
             spike += ", imitated"
         about = (spike, group.label.partition(",")[0], setting["env.name"])
