@@ -193,9 +193,9 @@ def _story() -> str:
             f"BBQN-MAP and DQN by ε .04: no success in {in_vain:,} dialogues, where uniformly "
             "random actions succeed in one of 2,000; a first success within "
             f"{_dialogues(ablated):,} dialogues for {found} of {len(ablated.final)} other seeds of "
-            f"BBQN-MAP; but {learned['dqn_boltzmann']} of {len(seeds)} seeds of DQN-Boltzmann and "
-            f"{most} of {code(best)} reach .3 in training within {int(seeds[0]['dialogues']):,} "
-            "dialogues",
+            f"BBQN-MAP; but within {int(seeds[0]['dialogues']):,} dialogues "
+            f"{learned['dqn_boltzmann']} of {len(seeds)} seeds of DQN-Boltzmann and {most} of "
+            f"{code(best)} reach .3 in training, {learned['bbqn_map_soft']} of `agent=bbqn`",
             "no" if most else "not shown",
         ),
     ]
