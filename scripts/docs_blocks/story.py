@@ -113,10 +113,12 @@ def _early() -> str:
 
 
 def _learned_unspiked() -> dict[str, int]:
-    """Returns in how many seeds of the movies each agent learns unspiked, the best first."""
-    seeds = {agent: rows for (domain, agent), rows in unspiked().items() if domain == "movie"}
-    reached = {agent: sum(bool(row["to_0.3"]) for row in rows) for agent, rows in seeds.items()}
-    return dict(sorted(reached.items(), key=lambda item: -item[1]))
+    """Returns in how many seeds of the movies each agent learns unspiked."""
+    return {
+        agent: sum(bool(row["to_0.3"]) for row in rows)
+        for (domain, agent), rows in unspiked().items()
+        if domain == "movie"
+    }
 
 
 @block("results.story")
@@ -145,7 +147,7 @@ def _story() -> str:
     (ablated,) = groups("ablations/spike_none")
     found = sum(share > 0 for share in ablated.cumulative)
     learned = _learned_unspiked()
-    best, most = next(iter(learned.items()))
+    best = max(learned, key=learned.__getitem__)
     seeds = unspiked()["movie", best]
     rows = [
         (
@@ -194,9 +196,10 @@ def _story() -> str:
             "random actions succeed in one of 2,000; a first success within "
             f"{_dialogues(ablated):,} dialogues for {found} of {len(ablated.final)} other seeds of "
             f"BBQN-MAP; but within {int(seeds[0]['dialogues']):,} dialogues "
-            f"{learned['dqn_boltzmann']} of {len(seeds)} seeds of DQN-Boltzmann and {most} of "
-            f"{code(best)} reach .3 in training, {learned['bbqn_map_soft']} of `agent=bbqn`",
-            "no" if most else "not shown",
+            f"{learned['dqn_boltzmann']} of {len(seeds)} seeds of DQN-Boltzmann and "
+            f"{learned[best]} of {code(best)} reach .3 in training, "
+            f"{learned['bbqn_map_soft']} of `agent=bbqn`",
+            "no" if learned[best] else "not shown",
         ),
     ]
     return table(("claim", "figure", "verdict"), rows)
