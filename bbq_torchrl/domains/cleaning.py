@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.domains.parts import Goal
+from bbq_torchrl.domains.specification import Goal
 from bbq_torchrl.domains.values import RESERVED_TEXT, fold, misspellings
 
 if TYPE_CHECKING:

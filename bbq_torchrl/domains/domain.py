@@ -8,7 +8,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.faults import DomainError, Fault
-from bbq_torchrl.domains.parts import (
+from bbq_torchrl.domains.specification import (
     ACTION_KINDS,
     PRIVILEGED_POLICY,
     RANDOM_POLICY,
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from bbq_torchrl.domains.faults import Place
-    from bbq_torchrl.domains.parts import Action, Goal, ScriptedPolicySpec
+    from bbq_torchrl.domains.specification import Action, Goal, ScriptedPolicySpec
 
 MAX_TURN_WIDTH = 1_000
 """The largest width of the one-hot turn, which adds as many features to every observation."""

@@ -13,7 +13,13 @@ import yaml
 
 from bbq_torchrl.checks import INTEGER, NUMBER, TEXT, TEXTS, Allowed, check
 from bbq_torchrl.domains.faults import Source
-from bbq_torchrl.domains.parts import ACTION_KINDS, Action, Goal, ScriptedPolicySpec, repeated
+from bbq_torchrl.domains.specification import (
+    ACTION_KINDS,
+    Action,
+    Goal,
+    ScriptedPolicySpec,
+    repeated,
+)
 from bbq_torchrl.utils.files import read_yaml
 from bbq_torchrl.utils.text import shown
 

@@ -36,7 +36,7 @@ from bbq_torchrl.utils.text import shown
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
 
-    from bbq_torchrl.domains.parts import Goal
+    from bbq_torchrl.domains.specification import Goal
 
 SHIPPED = {name: Path(__file__).parent / name for name in ("movie", "hotel", "restaurant")}
 """Domain that comes with the package -> its folder."""

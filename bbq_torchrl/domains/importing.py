@@ -17,7 +17,7 @@ from bbq_torchrl.domains.faults import DomainError, Source
 from bbq_torchrl.domains.files import SPECIFICATION_FILE, VALUES_FILE
 from bbq_torchrl.domains.folder import load_domain, save_data
 from bbq_torchrl.domains.miulab import fitted, read_corpus
-from bbq_torchrl.domains.parts import ACTION_KINDS, Action, ScriptedPolicySpec
+from bbq_torchrl.domains.specification import ACTION_KINDS, Action, ScriptedPolicySpec
 from bbq_torchrl.utils import output
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains.domain import Domain
     from bbq_torchrl.domains.miulab import Corpus
-    from bbq_torchrl.domains.parts import Goal
+    from bbq_torchrl.domains.specification import Goal
 
 _SLOTLESS = ("greeting", "thanks", "deny", "confirm_question", "confirm_answer", "closing")
 _TURN_WIDTH = 40

@@ -16,7 +16,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping, Sequence
 
     from bbq_torchrl.domains.faults import Place
-    from bbq_torchrl.domains.parts import Goal
+    from bbq_torchrl.domains.specification import Goal
 
 
 NONE = 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bbq_torchrl.envs.dialogue import DialogueEnv
-from bbq_torchrl.envs.parts import EnvState, ExtensionSchedule
+from bbq_torchrl.envs.extension import EnvState, ExtensionSchedule
 from bbq_torchrl.envs.policies import (
     CarefulPolicy,
     ClairvoyantPolicy,

@@ -12,7 +12,7 @@ from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.envs.parts import (
+from bbq_torchrl.envs.extension import (
     CompiledPlay,
     action_indices,
     check_range,
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
     from bbq_torchrl.domains import Domain
-    from bbq_torchrl.envs.parts import ExtensionSchedule
+    from bbq_torchrl.envs.extension import ExtensionSchedule
     from bbq_torchrl.simulator import Channel, FeatureLayout, SlotErrorMode
     from bbq_torchrl.simulator.profiles import Users
 

@@ -12,7 +12,7 @@ import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.domains.parts import RANDOM_POLICY
+from bbq_torchrl.domains.specification import RANDOM_POLICY
 from bbq_torchrl.envs.dialogue import DialogueEnv
 from bbq_torchrl.envs.policies import scripted_policy
 from bbq_torchrl.simulator import MeasuredErrors
@@ -32,7 +32,7 @@ if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
 
     from bbq_torchrl.domains import Domain
-    from bbq_torchrl.envs.text import TextChannel
+    from bbq_torchrl.envs.text_channel import TextChannel
     from bbq_torchrl.simulator import Utterance
     from bbq_torchrl.simulator.tracker import AgentTurn
 
@@ -93,7 +93,7 @@ def count_errors(
         trained: policies of trained agents, of one replica, by name. Without them the scripted
             policies play all turns.
     """
-    from bbq_torchrl.envs.text import text_channel  # imports the language layer
+    from bbq_torchrl.envs.text_channel import text_channel  # imports the language layer
 
     channel = _Recorder(text_channel(domain))
     names = tuple(domain.policies) or (RANDOM_POLICY,)

@@ -210,7 +210,7 @@ class FullDomain(EnvOption):
         self._profiles(domain)
         try:
             if self.level == "text":
-                from bbq_torchrl.envs.text import text_channel
+                from bbq_torchrl.envs.text_channel import text_channel
 
                 return text_channel(domain, self.ask_below)
         except ModuleNotFoundError as error:
@@ -240,7 +240,7 @@ class FullDomain(EnvOption):
 
     def references(self, domain: Domain | None) -> tuple[str, ...]:
         """The policy that knows the user's goal."""
-        from bbq_torchrl.domains.parts import PRIVILEGED_POLICY
+        from bbq_torchrl.domains.specification import PRIVILEGED_POLICY
 
         return (PRIVILEGED_POLICY,)
 

@@ -10,7 +10,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 import bbq_torchrl
-from bbq_torchrl.domains.parts import RANDOM_POLICY
+from bbq_torchrl.domains.specification import RANDOM_POLICY
 from bbq_torchrl.evaluation.figures import draw_run
 from bbq_torchrl.evaluation.groups import grouped, read_groups
 from bbq_torchrl.evaluation.metrics import Metrics

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import yaml
 from PIL import Image
 
-from bbq_torchrl.domains.parts import PRIVILEGED_POLICY, RANDOM_POLICY
+from bbq_torchrl.domains.specification import PRIVILEGED_POLICY, RANDOM_POLICY
 from bbq_torchrl.evaluation import comparison, pairs, table1
 from bbq_torchrl.evaluation.designs import ablations_report, grid_report
 from bbq_torchrl.evaluation.figures import draw_comparison

@@ -19,7 +19,7 @@ from bbq_torchrl.envs import (
     measured,
     scripted_policy,
 )
-from bbq_torchrl.envs.text import TextChannel
+from bbq_torchrl.envs.text_channel import TextChannel
 from bbq_torchrl.people.language import Frame, Understood
 from bbq_torchrl.simulator import MeasuredErrors
 
@@ -199,7 +199,7 @@ def test_a_slot_that_is_not_active_is_not_heard(movie):
 
 def counted(domain, monkeypatch, turns=500, trained=None, **settings):
     """Returns the counts after writing and reading them."""
-    name = "bbq_torchrl.envs.text.text_channel"
+    name = "bbq_torchrl.envs.text_channel.text_channel"
     monkeypatch.setattr(name, lambda _: channel_of(domain, **settings)[0])
     monkeypatch.setattr(measured, "_BATCH", 60)
     text = measured.errors_text(measured.count_errors(domain, turns, trained=trained))

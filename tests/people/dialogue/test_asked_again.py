@@ -9,7 +9,7 @@ import pytest
 pytest.importorskip("pycrfsuite", reason="needs the extra language")
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.envs.text import TextChannel
+from bbq_torchrl.envs.text_channel import TextChannel
 from bbq_torchrl.people.chat import Partner
 from bbq_torchrl.people.language import Frame, Unclear, Understood
 from bbq_torchrl.people.language.asking import MAX_ASKS, Asking
