@@ -7,8 +7,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from bbq_torchrl.options import registry
-from bbq_torchrl.runs import compose as store
+from bbq_torchrl.options import registry, store
 
 
 @contextmanager

@@ -1,7 +1,4 @@
-"""Composing and checking configurations.
-
-The only module that uses Hydra's configuration store.
-"""
+"""Composing and checking configurations."""
 
 from __future__ import annotations
 
@@ -9,13 +6,10 @@ import contextlib
 import copy
 import os
 import re
-import shlex
-import textwrap
-from dataclasses import fields, is_dataclass
+from dataclasses import fields
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from hydra import compose as hydra_compose, initialize_config_dir
-from hydra.core.config_store import ConfigStore
 from hydra.core.global_hydra import GlobalHydra
 from hydra.core.override_parser.overrides_parser import OverridesParser
 from hydra.errors import HydraException
@@ -25,18 +19,16 @@ from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseExceptio
 from yaml import YAMLError
 
 from bbq_torchrl.options import (
-    AgentOption,
     CalibrateConfig,
     Config,
     ConfigError,
     EvaluateConfig,
-    explorations,
     schemas,
     validate,
 )
-from bbq_torchrl.options.registry import EXPERIMENT, conf_folder, options, options_folder
+from bbq_torchrl.options.registry import conf_folder, options_folder
 from bbq_torchrl.options.settings import walk
-from bbq_torchrl.options.task import keys_with_lists
+from bbq_torchrl.options.store import ROOTS, register_options
 from bbq_torchrl.runs.folders import quoted
 from bbq_torchrl.runs.overrides import (
     allowed,
@@ -47,11 +39,9 @@ from bbq_torchrl.runs.overrides import (
     not_an_option,
     of_a_key,
     too_large,
-    train_command,
     unknown_key,
 )
 from bbq_torchrl.utils.files import check_yaml
-from bbq_torchrl.utils.output import page
 from bbq_torchrl.utils.text import conceal_environment, sentence, shown
 
 if TYPE_CHECKING:
@@ -63,91 +53,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.options import Option
 
 Root = TypeVar("Root", Config, EvaluateConfig, CalibrateConfig)
-
-ROOTS = {Config: "config", EvaluateConfig: "evaluate", CalibrateConfig: "calibrate"}
-"""Schema of a root -> its YAML file."""
-
-_OURS = Config.__module__.rpartition(".")[0]  # where our options are
-
-_registered: set[tuple[str, str]] = set()
-
-
-def register_options() -> None:
-    """Registers the roots and all options with Hydra."""
-    store = ConfigStore.instance()
-    for root, name in ROOTS.items():
-        store.store(name=f"_{name}", node=root)
-    for group, known in schemas().items():
-        for name, option in known.items():
-            if (group, name) in _registered:
-                continue
-            _registered.add((group, name))
-            if not issubclass(option, AgentOption):
-                store.store(group=group, name=name, node=option)
-                continue
-            # An agent chooses its default strategy.
-            own = {"override /explore@_global_.explore": option.explores_by}
-            store.store(group=group, name=f"_{name}", node=option)
-            store.store(group=group, name=name, node={"defaults": [f"_{name}", own, "_self_"]})
-    OmegaConf.register_new_resolver(
-        "bbq_pairs", lambda: textwrap.indent(explorations_table(), "  "), replace=True
-    )
-    OmegaConf.register_new_resolver("bbq_groups", _indented_groups, replace=True)
-    OmegaConf.register_new_resolver("bbq_lists", _indented_lists, replace=True)
-    OmegaConf.register_new_resolver("bbq_own", keys_of_others, replace=True)
-    OmegaConf.register_new_resolver(
-        "bbq_command", lambda: _literal(shlex.join(train_command())), replace=True
-    )
-    OmegaConf.register_new_resolver(
-        "bbq_page", lambda name: _literal(str(page(name))), replace=True
-    )
-
-
-def explorations_table() -> str:
-    """Returns the strategies that each agent can use, as text, a line per agent.
-
-    Examples:
-        >>> next(line for line in explorations_table().splitlines() if "=bootstrap " in line)
-        'agent=bootstrap  explore=bootstrap (default), epsilon_greedy, greedy'
-    """
-    known = explorations()
-    width = max(map(len, known))
-    return "\n".join(
-        f"agent={agent:<{width}}  explore={names[0]} (default), {', '.join(names[1:])}"
-        for agent, names in known.items()
-    )
-
-
-def _indented_lists() -> str:
-    keys = ", ".join(keys_with_lists(schemas()))
-    return textwrap.fill(keys, 90, initial_indent="  ", subsequent_indent="  ")
-
-
-def keys_of_others() -> str:
-    """Returns the keys of options from outside the package, which our pages lack, as text."""
-    lines = []
-    for group, known in schemas().items():
-        for name, option in known.items():
-            bases = [base for base in option.__mro__ if base.__module__.startswith(_OURS)]
-            ours = {item.name for base in bases if is_dataclass(base) for item in fields(base)}
-            lines += [
-                f"  {group}.{item.name} ({group}={name}): {item.metadata['meaning']}; "
-                f"{item.metadata['allowed'].text}"
-                for item in fields(option)
-                if item.name not in ours
-            ]
-    table = "\n".join(["Keys of options of your own", *lines, "", ""])
-    return _literal(table) if lines else ""
-
-
-def _literal(text: str) -> str:
-    """Escapes a text for Hydra's help, which is a template."""
-    return text.replace("$", "$$")
-
-
-def _indented_groups() -> str:
-    lines = [f"  {group + '=':<13} {' | '.join(options(group))}" for group in schemas()]
-    return "\n".join([*lines, f"  +{EXPERIMENT}=  {' | '.join(options(EXPERIMENT))}"])
 
 
 @contextlib.contextmanager

@@ -28,7 +28,8 @@ from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import load_folder, options_folder
 from bbq_torchrl.options.settings import ConfigError
-from bbq_torchrl.runs.compose import register_options, session, to_config, why_refused
+from bbq_torchrl.options.store import register_options
+from bbq_torchrl.runs.compose import session, to_config, why_refused
 from bbq_torchrl.runs.folders import quoted, refuse_other_folder, run_folder
 from bbq_torchrl.runs.overrides import (
     not_an_option,

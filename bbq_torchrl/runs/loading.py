@@ -12,9 +12,10 @@ from hydra.types import RunMode
 from bbq_torchrl.checks import check, one_of
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.registry import conf_folder, load_folder
+from bbq_torchrl.options.store import register_options
 from bbq_torchrl.protocols import enter_round
 from bbq_torchrl.runs.build import make_domain
-from bbq_torchrl.runs.compose import compose_raw, register_options, session
+from bbq_torchrl.runs.compose import compose_raw, session
 from bbq_torchrl.runs.job import begin
 from bbq_torchrl.runs.overrides import key_of, too_large, unreadable
 from bbq_torchrl.runs.resume import Resumption, description, run_config

@@ -14,10 +14,9 @@ from torchrl.data import Composite, Unbounded
 from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation import report
 from bbq_torchrl.evaluation.metrics import read_metrics
-from bbq_torchrl.options import ConfigError, registry
-from bbq_torchrl.runs import compose as store
+from bbq_torchrl.options import ConfigError, explorations, registry
 from bbq_torchrl.runs.checks import check
-from bbq_torchrl.runs.compose import compose, explorations_table
+from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import build_trainer, run
 from bbq_torchrl.search.definition import compose_search
 
@@ -41,14 +40,13 @@ def finished(installed, tmp_path_factory):
     return folders
 
 
-def test_its_options_are_in_the_tables_of_help():
-    lines = explorations_table().splitlines()
-    assert "agent=langevin   explore=greedy (default)" in "\n".join(lines)
-    assert "agent=epinet     explore=index (default), epsilon_greedy, greedy" in lines
-    with_ucb = [line for line in lines if "ucb" in line]
-    assert [line.split()[0] for line in with_ucb] == ["agent=bbqn", "agent=gp"]
-    assert "chain" in store.options("env")
-    assert "visits" in store.options("intrinsic")
+def test_its_options_are_paired_by_what_they_need():
+    known = explorations()
+    assert known["langevin"][0] == "greedy"
+    assert known["epinet"] == ("index", "epsilon_greedy", "greedy")
+    assert [agent for agent, names in known.items() if "ucb" in names] == ["bbqn", "gp"]
+    assert "chain" in registry.options("env")
+    assert "visits" in registry.options("intrinsic")
 
 
 def test_its_keys_are_checked_and_it_is_not_spiked_without_scripted_policies():
