@@ -17,7 +17,7 @@ from bbq_torchrl.domains.frames import ANY, Frame
 from bbq_torchrl.people.language import Understander, read_lines
 from bbq_torchrl.people.language.cache import cached_understander
 from bbq_torchrl.people.language.measure import VOICES
-from bbq_torchrl.people.language.understand import keys_of
+from bbq_torchrl.people.language.understander import keys_of
 from bbq_torchrl.people.language.words import compact, is_farewell
 from bbq_torchrl.utils import output
 
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.people.language.asking import Understood
-    from bbq_torchrl.people.language.labeled import Line
+    from bbq_torchrl.people.language.training_lines import Line
 
 ROOT = Path(__file__).parents[1]
 SETS = ROOT / "tests" / "data" / "language"

@@ -14,8 +14,8 @@ from pathlib import Path
 from bbq_torchrl.domains import load_domain
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.people.language import Understander, read_lines
-from bbq_torchrl.people.language.labeled import LEARNED_FILE
 from bbq_torchrl.people.language.measure import score
+from bbq_torchrl.people.language.training_lines import LEARNED_FILE
 
 _BEGINS = "# terse\n"
 _NEW = 7

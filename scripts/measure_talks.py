@@ -18,10 +18,10 @@ from talks.person import PEOPLE, Person
 from talks.talk import Talk
 
 from bbq_torchrl.people.dialogue import RULE_NAMES
-from bbq_torchrl.people.dialogue.agent import TrainedAgent
 from bbq_torchrl.people.dialogue.judge import Judge
 from bbq_torchrl.people.dialogue.partner import Partner
 from bbq_torchrl.people.dialogue.spelling import Spelling
+from bbq_torchrl.people.dialogue.trained_agent import TrainedAgent
 from bbq_torchrl.people.language import Generator, load_phrases
 from bbq_torchrl.people.language.cache import cached_understander
 from bbq_torchrl.utils import output

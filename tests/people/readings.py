@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 
 from bbq_torchrl.people.language.asking import OPENING
-from bbq_torchrl.people.language.assemble import assemble
+from bbq_torchrl.people.language.assembly import assemble
 from bbq_torchrl.people.language.learners import OUTSIDE
 from bbq_torchrl.people.language.model import Reading
 from bbq_torchrl.people.language.words import tokenize

@@ -6,8 +6,8 @@ a terminal, and :func:`~bbq_torchrl.people.study.agents.make_talker` makes the a
 
 from __future__ import annotations
 
-from bbq_torchrl.people.dialogue.agent import TrainedAgent
 from bbq_torchrl.people.dialogue.partner import Answer, Partner
-from bbq_torchrl.people.dialogue.tracker import Tracking
+from bbq_torchrl.people.dialogue.tracking import Tracking
+from bbq_torchrl.people.dialogue.trained_agent import TrainedAgent
 
 __all__ = ["Answer", "Partner", "Tracking", "TrainedAgent"]

@@ -43,10 +43,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
     import torch
 
     from bbq_torchrl.people.chat.terminal import Chat, console, prompt
-    from bbq_torchrl.people.dialogue.agent import TrainedAgent
     from bbq_torchrl.people.dialogue.judge import choose_goal
     from bbq_torchrl.people.dialogue.partner import Partner
     from bbq_torchrl.people.dialogue.spelling import Spelling
+    from bbq_torchrl.people.dialogue.trained_agent import TrainedAgent
     from bbq_torchrl.people.language import (
         Endpoint,
         EndpointGenerator,

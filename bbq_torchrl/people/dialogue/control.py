@@ -86,7 +86,7 @@ class Control:
 
         Args:
             state: the state of the simulator or of a
-                :class:`~bbq_torchrl.people.dialogue.tracker.Tracking`.
+                :class:`~bbq_torchrl.people.dialogue.tracking.Tracking`.
             legal: bool ``[*B, A]``.
 
         Returns:
@@ -112,7 +112,7 @@ class Control:
 
         Args:
             state: the state of the simulator or of a
-                :class:`~bbq_torchrl.people.dialogue.tracker.Tracking`.
+                :class:`~bbq_torchrl.people.dialogue.tracking.Tracking`.
         """
         if "take_back" not in self.rules:
             return state

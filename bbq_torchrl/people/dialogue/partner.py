@@ -13,7 +13,7 @@ from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.values import NONE, RESERVED_TEXT
 from bbq_torchrl.people.dialogue.control import Control
 from bbq_torchrl.people.dialogue.spelling import Spelling
-from bbq_torchrl.people.dialogue.tracker import Acting, Tracking
+from bbq_torchrl.people.dialogue.tracking import Acting, Tracking
 from bbq_torchrl.people.language import Frame, TextError, Understood
 from bbq_torchrl.people.language.asking import Asking
 from bbq_torchrl.people.language.words import has_bye, has_yes, is_farewell, is_no, is_yes
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
     from bbq_torchrl.people.dialogue import Beliefs
-    from bbq_torchrl.people.dialogue.agent import Reasons, TrainedAgent
+    from bbq_torchrl.people.dialogue.trained_agent import Reasons, TrainedAgent
     from bbq_torchrl.people.language import Nlu
 
 

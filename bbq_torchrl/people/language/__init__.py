@@ -5,10 +5,10 @@ from __future__ import annotations
 from bbq_torchrl.domains.frames import ANY, Frame
 from bbq_torchrl.people.language.asking import Nlu, Unclear, Understood
 from bbq_torchrl.people.language.endpoint import Endpoint, EndpointGenerator, EndpointUnderstander
-from bbq_torchrl.people.language.generate import Generator
-from bbq_torchrl.people.language.labeled import read_lines
+from bbq_torchrl.people.language.generator import Generator
 from bbq_torchrl.people.language.phrases import PhrasesError, load_phrases
-from bbq_torchrl.people.language.understand import Understander
+from bbq_torchrl.people.language.training_lines import read_lines
+from bbq_torchrl.people.language.understander import Understander
 from bbq_torchrl.utils.text import MAX_CHARACTERS, TextError
 
 __all__ = [

@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 from tqdm import tqdm
 
-from bbq_torchrl.people.language.labeled import DRILLED_FILE, LEARNED_FILE, read_lines
 from bbq_torchrl.people.language.phrases import LANGUAGE_FILE
-from bbq_torchrl.people.language.understand import TICKS, Understander
+from bbq_torchrl.people.language.training_lines import DRILLED_FILE, LEARNED_FILE, read_lines
+from bbq_torchrl.people.language.understander import TICKS, Understander
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -10,10 +10,10 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Frame
 from bbq_torchrl.people.language.asking import OPENING
-from bbq_torchrl.people.language.compose import Composer
+from bbq_torchrl.people.language.composer import Composer
 from bbq_torchrl.people.language.learners import OUTSIDE
+from bbq_torchrl.people.language.paraphrase import Surfaces, as_second_language, slangy, with_typos
 from bbq_torchrl.people.language.simulated import play
-from bbq_torchrl.people.language.surfaces import Surfaces, as_second_language, slangy, with_typos
 from bbq_torchrl.people.language.words import tokenize
 
 if TYPE_CHECKING:

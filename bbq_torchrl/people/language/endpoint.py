@@ -15,8 +15,8 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from bbq_torchrl.people.language.asking import Understood
-    from bbq_torchrl.people.language.generate import Generator
-    from bbq_torchrl.people.language.understand import Understander
+    from bbq_torchrl.people.language.generator import Generator
+    from bbq_torchrl.people.language.understander import Understander
 
 _LONGEST_ANSWER = 100_000
 _UNDERSTAND = (

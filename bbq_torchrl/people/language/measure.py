@@ -10,9 +10,9 @@ from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.people.language.corpus import make_examples
-from bbq_torchrl.people.language.labeled import Line, read_lines, without_unknown
-from bbq_torchrl.people.language.surfaces import lowered, with_typos
-from bbq_torchrl.people.language.understand import keys_of, same_frame
+from bbq_torchrl.people.language.paraphrase import lowered, with_typos
+from bbq_torchrl.people.language.training_lines import Line, read_lines, without_unknown
+from bbq_torchrl.people.language.understander import keys_of, same_frame
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.domains.frames import Frame
-    from bbq_torchrl.people.language.generate import Generator
-    from bbq_torchrl.people.language.understand import Understander
+    from bbq_torchrl.people.language.generator import Generator
+    from bbq_torchrl.people.language.understander import Understander
 
 VOICES = ("terse", "chatty", "nonnative")
 LATER = ("second_held_out", "third_held_out")

@@ -6,9 +6,9 @@ import re
 from typing import TYPE_CHECKING, NamedTuple
 
 from bbq_torchrl.people.language.asking import Unclear, asked_slot
-from bbq_torchrl.people.language.company import company
 from bbq_torchrl.people.language.denials import CLAUSE, is_denied
 from bbq_torchrl.people.language.learners import OUTSIDE, Span, spans_of
+from bbq_torchrl.people.language.party_size import company
 from bbq_torchrl.people.language.quantities import DAY_WORDS, MONTH_WORDS, ORDINAL_WORDS, PART_WORDS
 from bbq_torchrl.people.language.words import (
     ENGLISH,

@@ -11,8 +11,8 @@ import torch
 
 from bbq_torchrl.domains.frames import Frame
 from bbq_torchrl.people.language.asking import FOREIGN, asked_slot
-from bbq_torchrl.people.language.features import UNKNOWN, Features
 from bbq_torchrl.people.language.learners import OUTSIDE, IntentNet, Tagger, train_intents
+from bbq_torchrl.people.language.sentence_features import UNKNOWN, Features
 from bbq_torchrl.people.language.words import BREAKS
 
 if TYPE_CHECKING:

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from bbq_torchrl.people.dialogue.agent import TrainedAgent
 from bbq_torchrl.people.dialogue.partner import Memory, Partner
 from bbq_torchrl.people.dialogue.spelling import Spelling
+from bbq_torchrl.people.dialogue.trained_agent import TrainedAgent
 from bbq_torchrl.people.language import Generator, load_phrases
 from bbq_torchrl.people.language.cache import cached_understander, language_key
 from bbq_torchrl.people.language.phrases import GENERIC, has_own_phrases

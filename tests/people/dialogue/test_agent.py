@@ -9,7 +9,7 @@ from torchrl.data import Categorical
 from bbq_torchrl.exploration import Greedy
 from bbq_torchrl.networks import FlatMLP, q_actor
 from bbq_torchrl.people.chat import TrainedAgent
-from bbq_torchrl.people.dialogue.agent import q_draws
+from bbq_torchrl.people.dialogue.trained_agent import q_draws
 
 
 @pytest.fixture

@@ -7,7 +7,7 @@ import torch
 from study.simulated import Dialogues
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.people.dialogue.tracker import Tracking
+from bbq_torchrl.people.dialogue.tracking import Tracking
 from bbq_torchrl.people.language import Frame
 from bbq_torchrl.simulator import Simulator
 

@@ -16,7 +16,7 @@ from bbq_torchrl.people.language import (
     Understood,
     load_phrases,
 )
-from bbq_torchrl.people.language.compose import Composer
+from bbq_torchrl.people.language.composer import Composer
 from bbq_torchrl.people.language.corpus import make_examples
 from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.simulated import play

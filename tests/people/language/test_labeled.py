@@ -10,9 +10,9 @@ from bbq_torchrl.people.language import Frame, Understander, read_lines
 from bbq_torchrl.people.language.asking import OPENING
 from bbq_torchrl.people.language.cache import cached_understander
 from bbq_torchrl.people.language.corpus import spoiled
-from bbq_torchrl.people.language.features import Features
-from bbq_torchrl.people.language.labeled import Line, as_examples, varied
 from bbq_torchrl.people.language.measure import VOICES, calibration_error, calibration_floor
+from bbq_torchrl.people.language.sentence_features import Features
+from bbq_torchrl.people.language.training_lines import Line, as_examples, varied
 from bbq_torchrl.people.language.words import SMALL
 
 DATA = Path(__file__).parents[2] / "data" / "language"

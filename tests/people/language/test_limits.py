@@ -14,7 +14,7 @@ from bbq_torchrl.domains.frames import ANY
 from bbq_torchrl.people.language import Frame, Unclear
 from bbq_torchrl.people.language.asking import FOREIGN, OPENING
 from bbq_torchrl.people.language.corpus import make_examples
-from bbq_torchrl.people.language.labeled import Names, make_foreign
+from bbq_torchrl.people.language.training_lines import Names, make_foreign
 from bbq_torchrl.people.language.words import ENGLISH
 
 DEV = Path(__file__).parents[2] / "data" / "language" / "limits"

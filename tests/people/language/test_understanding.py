@@ -20,7 +20,7 @@ from bbq_torchrl.people.language import (
     read_lines,
 )
 from bbq_torchrl.people.language.asking import OPENING
-from bbq_torchrl.people.language.assemble import assemble, chosen
+from bbq_torchrl.people.language.assembly import assemble, chosen
 from bbq_torchrl.people.language.cache import cached_understander
 from bbq_torchrl.people.language.learners import OUTSIDE
 from bbq_torchrl.people.language.model import Reading
@@ -286,7 +286,7 @@ def test_a_file_that_was_changed_is_refused_before_anything_reads_it(
     damage(arrays)
     np.savez(path, **arrays)
     monkeypatch.setattr(
-        "bbq_torchrl.people.language.understand.Tagger", None
+        "bbq_torchrl.people.language.understander.Tagger", None
     )  # which crashes on some
     with pytest.raises(ValueError, match=says):
         Understander.load(path, movie_domain())

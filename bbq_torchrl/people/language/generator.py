@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains import fold
 from bbq_torchrl.domains.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Frame
-from bbq_torchrl.people.language.compose import Composer
+from bbq_torchrl.people.language.composer import Composer
 from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.templates import Piece, choose, plain
 from bbq_torchrl.people.language.words import pairs, word_set

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT, Frame
 from bbq_torchrl.people.language.asking import OPENING, Unclear, asked_slot
-from bbq_torchrl.people.language.company import counted
 from bbq_torchrl.people.language.learners import OUTSIDE
 from bbq_torchrl.people.language.mentions import LONGEST, SHORT, values_of
+from bbq_torchrl.people.language.party_size import counted
 from bbq_torchrl.people.language.words import (
     COUNT_WORDS,
     ENGLISH,

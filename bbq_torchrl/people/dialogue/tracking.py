@@ -13,8 +13,8 @@ from bbq_torchrl.people.language import Frame
 from bbq_torchrl.simulator import Utterance
 
 if TYPE_CHECKING:
-    from bbq_torchrl.people.dialogue.agent import TrainedAgent
     from bbq_torchrl.people.dialogue.control import Control
+    from bbq_torchrl.people.dialogue.trained_agent import TrainedAgent
     from bbq_torchrl.simulator import Simulator
 
 

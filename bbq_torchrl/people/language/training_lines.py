@@ -14,7 +14,7 @@ from bbq_torchrl.domains.frames import ANY, Frame
 from bbq_torchrl.people.language.asking import FOREIGN, OPENING
 from bbq_torchrl.people.language.corpus import Example, spoiled, tag
 from bbq_torchrl.people.language.learners import OUTSIDE, spans_of
-from bbq_torchrl.people.language.surfaces import Surfaces
+from bbq_torchrl.people.language.paraphrase import Surfaces
 from bbq_torchrl.people.language.templates import Piece, choose, parse
 from bbq_torchrl.people.language.words import (
     ENGLISH,

@@ -10,11 +10,16 @@ import numpy as np
 import torch
 
 from bbq_torchrl.people.language.asking import FOREIGN, OPENING, Understood
-from bbq_torchrl.people.language.assemble import assemble
+from bbq_torchrl.people.language.assembly import assemble
 from bbq_torchrl.people.language.confidence import CUES, cues_of, fit_confidence, probability
 from bbq_torchrl.people.language.corpus import make_examples, spoiled
-from bbq_torchrl.people.language.features import Features
-from bbq_torchrl.people.language.labeled import (
+from bbq_torchrl.people.language.learners import EPOCHS, OUTSIDE, IntentNet, Tagger
+from bbq_torchrl.people.language.lexicon import Lexicon
+from bbq_torchrl.people.language.model import Model, fit
+from bbq_torchrl.people.language.model_file import read_model, write_model
+from bbq_torchrl.people.language.paraphrase import DROPPED, Surfaces
+from bbq_torchrl.people.language.sentence_features import Features
+from bbq_torchrl.people.language.training_lines import (
     DRILLED_FILE,
     LEARNED_FILE,
     as_examples,
@@ -22,11 +27,6 @@ from bbq_torchrl.people.language.labeled import (
     make_foreign,
     varied,
 )
-from bbq_torchrl.people.language.learners import EPOCHS, OUTSIDE, IntentNet, Tagger
-from bbq_torchrl.people.language.lexicon import Lexicon
-from bbq_torchrl.people.language.model import Model, fit
-from bbq_torchrl.people.language.model_file import read_model, write_model
-from bbq_torchrl.people.language.surfaces import DROPPED, Surfaces
 from bbq_torchrl.people.language.words import capitalized, words_of
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains.frames import Frame
     from bbq_torchrl.people.language.asking import Unclear
     from bbq_torchrl.people.language.corpus import Example
-    from bbq_torchrl.people.language.labeled import Line
+    from bbq_torchrl.people.language.training_lines import Line
 
 SENTENCES = 7_200
 """The maximum number of people's sentences to learn from."""
