@@ -19,8 +19,8 @@ import math
 from pathlib import Path
 from typing import Any
 
-from bbq_torchrl.evaluation.metrics import booked, rounds_to_reach
-from bbq_torchrl.evaluation.runs import read_run
+from bbq_torchrl.evaluation.curves import booked, rounds_to_reach
+from bbq_torchrl.evaluation.finished_runs import read_run
 from bbq_torchrl.utils import output
 
 RESULT = Path(__file__).parents[1] / "results" / "unspiked.csv"

@@ -14,7 +14,7 @@ import shutil
 from dataclasses import replace
 from pathlib import Path
 
-from bbq_torchrl.evaluation.results import read_result, write_json
+from bbq_torchrl.evaluation.run_result import read_result, write_json
 from bbq_torchrl.options.task import replica_values
 from bbq_torchrl.runs import shipped
 from bbq_torchrl.runs.build import make_domain

@@ -196,7 +196,7 @@ def _domains(given: Sequence[str]) -> dict[str, list[str]]:
 def _write(given: Namespace, command: str, cells: Sequence[Cell], missing: list[str]) -> str:
     """Writes the page, its figures, bench.csv and bench.json. Returns the page."""
     from bbq_torchrl.evaluation.bench import bench_report, rows_of, setting_name
-    from bbq_torchrl.evaluation.results import read_result, write_json
+    from bbq_torchrl.evaluation.run_result import read_result, write_json
 
     rows, scripts, about = [], {}, []
     for cell in cells:

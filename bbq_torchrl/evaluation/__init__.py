@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from bbq_torchrl.evaluation.metrics import Metrics, areas, read_metrics, rounds_to_reach
-from bbq_torchrl.evaluation.results import (
+from bbq_torchrl.evaluation.curves import Metrics, areas, read_metrics, rounds_to_reach
+from bbq_torchrl.evaluation.run_result import (
     ReplicaResult,
     RunResult,
     TrainingEvaluation,

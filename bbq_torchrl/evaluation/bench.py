@@ -12,10 +12,10 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from bbq_torchrl.evaluation.curves import Reach, booked, rounds_to_reach
 from bbq_torchrl.evaluation.figures import draw_bands
-from bbq_torchrl.evaluation.metrics import Reach, booked, rounds_to_reach
+from bbq_torchrl.evaluation.finished_runs import read_run
 from bbq_torchrl.evaluation.pairs import difference
-from bbq_torchrl.evaluation.runs import read_run
 from bbq_torchrl.utils.reports import NONE, Report, Table
 from bbq_torchrl.utils.statistics import (
     Estimate,

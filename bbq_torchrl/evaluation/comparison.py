@@ -6,9 +6,9 @@ from functools import partial
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
+from bbq_torchrl.evaluation.curves import FIRST, LEVELS, WINDOW, reach
 from bbq_torchrl.evaluation.figures import COLORS, draw_comparison
 from bbq_torchrl.evaluation.groups import know_commits, references, runs_report
-from bbq_torchrl.evaluation.metrics import FIRST, LEVELS, WINDOW, reach
 from bbq_torchrl.evaluation.pairs import EARLY, difference, pair
 from bbq_torchrl.utils.reports import NONE, Report, Table
 from bbq_torchrl.utils.statistics import estimate, estimate_iqm

@@ -14,9 +14,9 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bbq_torchrl.evaluation.figures import draw_panels
+from bbq_torchrl.evaluation.finished_runs import agent_name, distinguishing_keys
 from bbq_torchrl.evaluation.groups import label, runs_report
 from bbq_torchrl.evaluation.pairs import NOT_RUN, compare
-from bbq_torchrl.evaluation.runs import agent_name, distinguishing_keys
 from bbq_torchrl.utils.reports import NONE, Report, Table
 from bbq_torchrl.utils.statistics import Estimate, estimate
 from bbq_torchrl.utils.text import as_typed

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bbq_torchrl.evaluation.metrics import areas, booked, rounds_to_reach
-from bbq_torchrl.evaluation.results import reference_lines
-from bbq_torchrl.evaluation.runs import distinguishing_keys, names_option, read_run
+from bbq_torchrl.evaluation.curves import areas, booked, rounds_to_reach
+from bbq_torchrl.evaluation.finished_runs import distinguishing_keys, names_option, read_run
+from bbq_torchrl.evaluation.run_result import reference_lines
 from bbq_torchrl.utils.reports import Report, Table
 from bbq_torchrl.utils.text import as_typed
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from bbq_torchrl.evaluation.results import RunResult
-    from bbq_torchrl.evaluation.runs import Replica
+    from bbq_torchrl.evaluation.finished_runs import Replica
+    from bbq_torchrl.evaluation.run_result import RunResult
 
 _OF_AN_AGENT = ("agent", "explore", "intrinsic")
 """Groups of options that define an agent."""
@@ -72,7 +72,7 @@ class Group:
     def booked(self, first: int) -> list[float]:
         """Share of the first training dialogues that succeeded, per seed.
 
-        Empty if fewer were trained; see :func:`bbq_torchrl.evaluation.metrics.booked`.
+        Empty if fewer were trained; see :func:`bbq_torchrl.evaluation.curves.booked`.
         """
         return booked(self.success, self.round_dialogues, first)
 

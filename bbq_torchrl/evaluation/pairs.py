@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
-from bbq_torchrl.evaluation.metrics import areas
-from bbq_torchrl.evaluation.runs import distinguishing_keys
+from bbq_torchrl.evaluation.curves import areas
+from bbq_torchrl.evaluation.finished_runs import distinguishing_keys
 from bbq_torchrl.utils.reports import NONE
 from bbq_torchrl.utils.statistics import estimate, holm, t_test
 

@@ -14,9 +14,9 @@ from itertools import chain
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from bbq_torchrl.evaluation.comparison import booked_columns
+from bbq_torchrl.evaluation.curves import FIRST, reach
 from bbq_torchrl.evaluation.figures import draw_families
 from bbq_torchrl.evaluation.groups import references, runs_report
-from bbq_torchrl.evaluation.metrics import FIRST, reach
 from bbq_torchrl.evaluation.pairs import EARLY, NOT_RUN, compare
 from bbq_torchrl.utils.reports import NONE, Report, Table
 from bbq_torchrl.utils.statistics import estimate, estimate_iqm

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Any
 import torch
 
 from bbq_torchrl.evaluation.bench import setting_name
-from bbq_torchrl.evaluation.results import write_json
 from bbq_torchrl.evaluation.rollouts import evaluation_rollouts
+from bbq_torchrl.evaluation.run_result import write_json
 from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.runs.checks import check
 from bbq_torchrl.runs.compose import compose

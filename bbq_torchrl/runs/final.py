@@ -11,18 +11,18 @@ from typing import TYPE_CHECKING
 
 import bbq_torchrl
 from bbq_torchrl.domains.specification import RANDOM_POLICY
+from bbq_torchrl.evaluation.curves import Metrics
 from bbq_torchrl.evaluation.figures import draw_run
+from bbq_torchrl.evaluation.finished_runs import Replica
 from bbq_torchrl.evaluation.groups import grouped, read_groups
-from bbq_torchrl.evaluation.metrics import Metrics
-from bbq_torchrl.evaluation.results import (
+from bbq_torchrl.evaluation.rollouts import evaluate
+from bbq_torchrl.evaluation.run_result import (
     RunResult,
     TrainingEvaluation,
     reference_lines,
     replica_result,
     training_evaluation,
 )
-from bbq_torchrl.evaluation.rollouts import evaluate
-from bbq_torchrl.evaluation.runs import Replica
 from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.task import replica_values
 from bbq_torchrl.protocols import enter_round

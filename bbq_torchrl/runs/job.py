@@ -48,7 +48,7 @@ if TYPE_CHECKING:
     from argparse import Namespace
     from collections.abc import Callable, Iterator, Sequence
 
-    from bbq_torchrl.evaluation.results import RunResult
+    from bbq_torchrl.evaluation.run_result import RunResult
     from bbq_torchrl.runs.checks import Checked
 
 _LOG = logging.getLogger(__name__)
@@ -167,7 +167,7 @@ def job(composed: DictConfig, run: Callable[..., RunResult]) -> float:
 
 
 def _job_of_a_sweep(composed: DictConfig, folder: Path, run: Callable[..., RunResult]) -> float:
-    from bbq_torchrl.evaluation.results import read_result
+    from bbq_torchrl.evaluation.run_result import read_result
 
     try:
         config = to_config(composed, Config)

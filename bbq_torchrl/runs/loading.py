@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
     from torchrl.envs import EnvBase
 
-    from bbq_torchrl.evaluation.results import RunResult
+    from bbq_torchrl.evaluation.run_result import RunResult
     from bbq_torchrl.options import Config
 
 

@@ -6,14 +6,14 @@ import dataclasses
 import logging
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.evaluation.results import best_script
-from bbq_torchrl.evaluation.runs import agent_name
+from bbq_torchrl.evaluation.finished_runs import agent_name
+from bbq_torchrl.evaluation.run_result import best_script
 
 if TYPE_CHECKING:
     from pathlib import Path
 
     from bbq_torchrl.domains import Domain
-    from bbq_torchrl.evaluation.results import RunResult
+    from bbq_torchrl.evaluation.run_result import RunResult
     from bbq_torchrl.options import Config
     from bbq_torchrl.trainers import RoundTrainer
 

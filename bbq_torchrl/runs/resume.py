@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
     from contextlib import ExitStack
 
-    from bbq_torchrl.evaluation.results import RunResult
+    from bbq_torchrl.evaluation.run_result import RunResult
 
 NOT_SWEPT = "resume cannot be combined with --multirun"
 
@@ -84,7 +84,7 @@ def result_of(folder: Path, rounds: int) -> RunResult | None:
     if not (folder / RESULT).is_file():
         return None
     # Imported here, since it takes a second and most folders have no result.
-    from bbq_torchrl.evaluation.results import read_result
+    from bbq_torchrl.evaluation.run_result import read_result
 
     try:
         result = read_result(folder)

@@ -303,7 +303,7 @@ def _success_and_state(folder: Path) -> tuple[str, str]:
     if not file.is_file():
         return unfinished
     # Imported here: it takes a second.
-    from bbq_torchrl.evaluation.results import read_result
+    from bbq_torchrl.evaluation.run_result import read_result
 
     try:
         rate = read_result(folder).success_rate

@@ -31,7 +31,7 @@ if TYPE_CHECKING:
     from torchrl.record.loggers import Logger
 
     from bbq_torchrl.domains import Domain
-    from bbq_torchrl.evaluation.results import RunResult
+    from bbq_torchrl.evaluation.run_result import RunResult
     from bbq_torchrl.options import Config
     from bbq_torchrl.trainers import ReplicaOptimizer, RoundTrainer
     from bbq_torchrl.trainers.round_trainer import RoundCallback
@@ -71,7 +71,7 @@ def run(
         ConfigError: another process is at work in the folder.
         Interrupted: a signal came; all rounds are saved.
     """
-    from bbq_torchrl.evaluation.results import flat_numbers, write_json
+    from bbq_torchrl.evaluation.run_result import flat_numbers, write_json
     from bbq_torchrl.runs import build, final, folders, messages, resume
 
     with folders.run_lock(folder), build.opened_loggers(config, folder) as loggers:

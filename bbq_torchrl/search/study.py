@@ -40,7 +40,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from bbq_torchrl.domains import Domain
-    from bbq_torchrl.evaluation.results import RunResult
+    from bbq_torchrl.evaluation.run_result import RunResult
     from bbq_torchrl.options import Config
     from bbq_torchrl.search.definition import Search
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 
 import optuna
 
-from bbq_torchrl.evaluation.metrics import read_metrics
-from bbq_torchrl.evaluation.results import read_result, write_json
+from bbq_torchrl.evaluation.curves import read_metrics
+from bbq_torchrl.evaluation.run_result import read_result, write_json
 from bbq_torchrl.runs.overrides import train_command
 from bbq_torchrl.runs.resume import is_finished, restarted_config
 from bbq_torchrl.trainers import TrainingError
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from bbq_torchrl.domains import Domain
-    from bbq_torchrl.evaluation.results import RunResult
+    from bbq_torchrl.evaluation.run_result import RunResult
     from bbq_torchrl.options import Config
     from bbq_torchrl.search.definition import Search, SearchConfig
     from bbq_torchrl.trainers import RoundTrainer

@@ -16,11 +16,11 @@ from PIL import Image
 
 from bbq_torchrl.domains.specification import PRIVILEGED_POLICY, RANDOM_POLICY
 from bbq_torchrl.evaluation import comparison, pairs, table1
+from bbq_torchrl.evaluation.curves import rounds_to_reach
 from bbq_torchrl.evaluation.designs import ablations_report, grid_report
 from bbq_torchrl.evaluation.figures import draw_comparison
 from bbq_torchrl.evaluation.groups import Group, read_groups
-from bbq_torchrl.evaluation.metrics import rounds_to_reach
-from bbq_torchrl.evaluation.results import reference_lines
+from bbq_torchrl.evaluation.run_result import reference_lines
 from bbq_torchrl.utils.reports import NONE, Report, save
 from bbq_torchrl.utils.statistics import estimate
 from scripts.docs_blocks import common

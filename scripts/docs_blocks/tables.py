@@ -8,8 +8,8 @@ from pathlib import Path
 from statistics import fmean, median
 from typing import Any
 
-from bbq_torchrl.evaluation.metrics import Reach
-from bbq_torchrl.evaluation.results import read_result
+from bbq_torchrl.evaluation.curves import Reach
+from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.runs.shipped import PREFIX, SHIPPED, shipped_agents
 from bbq_torchrl.utils.statistics import estimate
 from scripts.docs_blocks.common import (

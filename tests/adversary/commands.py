@@ -21,7 +21,7 @@ PROGRAMS = {
     "evaluate": "bbq_torchrl.cli.evaluate",
     "search": "bbq_torchrl.search.__main__",
     "domains": "bbq_torchrl.cli.calibrate",
-    "report": "bbq_torchrl.evaluation.report",
+    "report": "bbq_torchrl.evaluation.compare_runs",
     "bench": "bbq_torchrl.cli.bench",
 }
 """Command -> the module of its main function."""

@@ -18,7 +18,7 @@ COMMANDS = {
     "train --help": (TRAIN, "--help"),
     "train --cfg": (TRAIN, "--cfg", "job"),
     "evaluate": ("-m", "bbq_torchrl.cli.evaluate", "policy=rule", "dialogues=2"),
-    "report --help": ("-m", "bbq_torchrl.evaluation.report", "--help"),
+    "report --help": ("-m", "bbq_torchrl.evaluation.compare_runs", "--help"),
     "bbq": ("-c", "import sys; from bbq_torchrl.cli.console import main; sys.exit(main())"),
 }
 

@@ -6,7 +6,7 @@ from dataclasses import asdict
 
 import pytest
 
-from bbq_torchrl.evaluation.runs import agent_name
+from bbq_torchrl.evaluation.finished_runs import agent_name
 from bbq_torchrl.options import explorations, registry
 from bbq_torchrl.options.registry import options
 from bbq_torchrl.options.task import replica_values

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from result_folders import make_run
 
-from bbq_torchrl.evaluation.report import main
+from bbq_torchrl.evaluation.compare_runs import main
 
 
 @pytest.fixture

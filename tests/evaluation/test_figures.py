@@ -12,9 +12,9 @@ from result_folders import run_result
 
 from bbq_torchrl.evaluation import Metrics
 from bbq_torchrl.evaluation.figures import draw_comparison, draw_families, draw_run, moving_average
+from bbq_torchrl.evaluation.finished_runs import Replica
 from bbq_torchrl.evaluation.groups import Group
-from bbq_torchrl.evaluation.results import reference_lines
-from bbq_torchrl.evaluation.runs import Replica
+from bbq_torchrl.evaluation.run_result import reference_lines
 
 
 @pytest.fixture

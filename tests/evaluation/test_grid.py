@@ -9,8 +9,8 @@ from result_folders import sweeps
 from scipy import stats
 
 from bbq_torchrl.evaluation.designs import deviations, find_grid
+from bbq_torchrl.evaluation.finished_runs import agent_name
 from bbq_torchrl.evaluation.groups import read_groups
-from bbq_torchrl.evaluation.runs import agent_name
 from bbq_torchrl.runs.compose import compose
 
 OWN = [0.70, 0.80, 0.75, 0.72, 0.78]

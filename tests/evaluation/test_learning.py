@@ -13,8 +13,8 @@ from tiny import rows
 
 from bbq_torchrl.evaluation import areas, rounds_to_reach
 from bbq_torchrl.evaluation.comparison import learning_table
+from bbq_torchrl.evaluation.curves import Reach, booked
 from bbq_torchrl.evaluation.groups import read_groups
-from bbq_torchrl.evaluation.metrics import Reach, booked
 from bbq_torchrl.evaluation.pairs import pair
 
 curves = arrays(float, st.tuples(st.integers(1, 20), st.integers(1, 4)), elements=st.floats(0, 1))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from bbq_torchrl.evaluation.runs import agent_name
+from bbq_torchrl.evaluation.finished_runs import agent_name
 
 
 @pytest.mark.parametrize(

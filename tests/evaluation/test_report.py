@@ -11,8 +11,8 @@ from tiny import rows
 
 from bbq_torchrl.evaluation import estimate, estimate_iqm, interquartile_mean
 from bbq_torchrl.evaluation.comparison import comparison_report, success_table
+from bbq_torchrl.evaluation.finished_runs import find_results, find_unfinished
 from bbq_torchrl.evaluation.groups import read_groups
-from bbq_torchrl.evaluation.runs import find_results, find_unfinished
 
 GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]
 BAD = [0.50, 0.40, 0.60, 0.55, 0.45]

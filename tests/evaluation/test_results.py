@@ -11,7 +11,7 @@ import pytest
 from result_folders import metrics_text, run_result
 
 from bbq_torchrl.evaluation import read_metrics, read_result
-from bbq_torchrl.evaluation.results import replica_result, training_evaluation, write_json
+from bbq_torchrl.evaluation.run_result import replica_result, training_evaluation, write_json
 
 
 def test_a_replica_is_summed_up_over_its_dialogues():

@@ -12,8 +12,8 @@ from extended import PACKAGE, SHRUNKEN
 from torchrl.data import Composite, Unbounded
 
 from bbq_torchrl.cli import evaluate
-from bbq_torchrl.evaluation import report
-from bbq_torchrl.evaluation.metrics import read_metrics
+from bbq_torchrl.evaluation import compare_runs
+from bbq_torchrl.evaluation.curves import read_metrics
 from bbq_torchrl.options import ConfigError, explorations, registry
 from bbq_torchrl.runs.checks import check
 from bbq_torchrl.runs.compose import compose
@@ -134,7 +134,7 @@ def test_its_runs_are_evaluated_and_reported(finished, capsys):
         assert "domain" not in line
     assert "states_seen" in read_metrics(finished["strategy and intrinsic reward"]).columns
     capsys.readouterr()
-    assert report.main(folders) == 0
+    assert compare_runs.main(folders) == 0
     out = capsys.readouterr().out
     assert out.startswith("# env=chain\n")
     assert "LANGEVIN, agent.inverse_temperature=10000.0" in out

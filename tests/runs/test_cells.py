@@ -11,7 +11,7 @@ from tiny import TINY, rows
 from torch.testing import assert_close
 
 from bbq_torchrl.cli import evaluate
-from bbq_torchrl.evaluation.metrics import read_metrics
+from bbq_torchrl.evaluation.curves import read_metrics
 from bbq_torchrl.options import explorations, schemas
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import build_trainer, make_agent, run

@@ -7,7 +7,7 @@ import subprocess
 
 import pytest
 
-from bbq_torchrl.evaluation.results import read_result
+from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.runs.build import Checkout, checkout
 from bbq_torchrl.runs.resume import is_finished
 

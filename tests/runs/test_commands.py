@@ -16,8 +16,8 @@ from tiny import TINY, rows
 
 from bbq_torchrl import load_run
 from bbq_torchrl.cli import evaluate
-from bbq_torchrl.evaluation.results import read_result
 from bbq_torchrl.evaluation.rollouts import evaluate as evaluate_policy
+from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.runs.train import main as train_main
 
 TRAIN = forked.ROOT / "train.py"

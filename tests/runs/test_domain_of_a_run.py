@@ -11,7 +11,7 @@ import pytest
 from tiny import TINY
 
 from bbq_torchrl.cli import evaluate
-from bbq_torchrl.evaluation.results import read_result
+from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.runs import final
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import run

@@ -14,7 +14,7 @@ from own_options import own_options
 from tiny import TINY, rows
 from torchrl.record.loggers import Logger
 
-from bbq_torchrl.evaluation.results import read_result
+from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.options import ConfigError, LoggerOption, register
 from bbq_torchrl.options.settings import option
 from bbq_torchrl.runs.compose import compose

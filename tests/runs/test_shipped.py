@@ -10,7 +10,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl import load_run
 from bbq_torchrl.cli import evaluate
-from bbq_torchrl.evaluation.results import read_result
+from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.runs import shipped
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import run

@@ -9,7 +9,7 @@ import pytest
 import yaml
 from result_folders import run_result
 
-from bbq_torchrl.evaluation.results import write_json
+from bbq_torchrl.evaluation.run_result import write_json
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.resume import save_config
 from bbq_torchrl.runs.sweeps import table_of_runs

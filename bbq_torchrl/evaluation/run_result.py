@@ -81,7 +81,7 @@ class RunResult:
         success_rate: mean over replicas, whatever their values; likewise reward, turns,
             training_success.
         standard_error: of success_rate over the dialogues of *these* replicas (binomial). For the
-            spread over seeds see :mod:`bbq_torchrl.evaluation.report`.
+            spread over seeds see :mod:`bbq_torchrl.evaluation.compare_runs`.
         dialogues: number of dialogues evaluated.
         per_replica: an entry for each replica.
         wall_seconds: time of training and evaluation, without that of killed processes.

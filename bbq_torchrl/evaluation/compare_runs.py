@@ -14,8 +14,8 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.evaluation.comparison import comparison_report
 from bbq_torchrl.evaluation.designs import ablations_report, grid_report
+from bbq_torchrl.evaluation.finished_runs import find_results, find_unfinished
 from bbq_torchrl.evaluation.groups import read_groups
-from bbq_torchrl.evaluation.runs import find_results, find_unfinished
 from bbq_torchrl.evaluation.table1 import table1_report
 from bbq_torchrl.utils import interruption, output
 
@@ -41,7 +41,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code."""
     interruption.tell(lambda: "in a report", lambda: "the same command starts again")
     parser = output.Parser(
-        prog="python -m bbq_torchrl.evaluation.report",
+        prog="python -m bbq_torchrl.evaluation.compare_runs",
         description="Compares finished runs over their seeds: prints the tables as Markdown.",
     )
     parser.add_argument(

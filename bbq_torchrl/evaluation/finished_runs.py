@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.evaluation.metrics import read_metrics
-from bbq_torchrl.evaluation.results import flat, read_result
+from bbq_torchrl.evaluation.curves import read_metrics
+from bbq_torchrl.evaluation.run_result import flat, read_result
 from bbq_torchrl.utils.files import CONFIG, METRICS, RESULT, folder_of, numbers_in_order, read_yaml
 from bbq_torchrl.utils.text import sentence
 
@@ -20,8 +20,8 @@ if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-    from bbq_torchrl.evaluation.metrics import Metrics
-    from bbq_torchrl.evaluation.results import ReplicaResult, RunResult
+    from bbq_torchrl.evaluation.curves import Metrics
+    from bbq_torchrl.evaluation.run_result import ReplicaResult, RunResult
 
 
 _OF_A_SEED = ("seed", "replicas", "resume", "device", "threads", "logger")
