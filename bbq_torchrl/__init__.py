@@ -12,16 +12,12 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl import renamed
-
 if TYPE_CHECKING:
     from bbq_torchrl.runs.loading import config_dir, load_run, train
 
 __all__ = ["__version__", "config_dir", "load_run", "train"]
 
 __version__ = "0.2.0"
-
-renamed.install(__name__)
 
 
 def __getattr__(name: str) -> Any:
