@@ -56,7 +56,7 @@ def main() -> None:
         for seed, goal in enumerate(chosen, given.seed):
             talk = Talk(partner, Person(kind, goal, partner.domain, seed, names))
             talk.play(seed)
-            said = [(answer.heard, answer.said) for _, answer in talk.said]
+            said = [(answer.understood, answer.answered) for _, answer in talk.said]
             reasons = judge.reasons(goal, said, in_time=talk.ended != "turns")
             talk.counts.update(talks=1, success=not reasons and talk.ended == "agent")
             rows.append({"kind": kind, **{name: int(talk.counts[name]) for name in COUNTS}})

@@ -99,8 +99,8 @@ class Person:
 
     def hears(self, answer: Answer) -> None:
         """Takes down what the agent tells."""
-        if answer.said.act in ("inform", "request"):
-            told = {k: v for k, v in answer.said.informs.items() if v not in _RESERVED}
+        if answer.answered.act in ("inform", "request"):
+            told = {k: v for k, v in answer.answered.informs.items() if v not in _RESERVED}
             self._answers |= {k: v for k, v in told.items() if k not in self._goal.constraints}
 
     def _open(self) -> Said:
@@ -123,7 +123,7 @@ class Person:
         """Returns the habit that is due now, if any."""
         for plan in self._says:
             at = plan["at"]
-            is_request = answer is not None and answer.said.act == "request"
+            is_request = answer is not None and answer.answered.act == "request"
             is_due = (
                 at == self._turn
                 or (at == "request" and is_request and not answer.memory.checked)  # type: ignore[union-attr]
@@ -162,11 +162,11 @@ class Person:
 
     def _reply(self, answer: Answer) -> Said:
         self.hears(answer)
-        if answer.memory.checked or answer.said.act == "not_sure":
+        if answer.memory.checked or answer.answered.act == "not_sure":
             said = self._to_check(answer)
         elif self._is_offer(answer):
             said = self._to_offer(answer)
-        elif answer.said.requests:
+        elif answer.answered.requests:
             said = self._to_question(answer)
         else:
             said = self._to_telling(answer)
@@ -180,11 +180,11 @@ class Person:
         return any(slot in self._untold for slot in said.informs)
 
     def _is_offer(self, answer: Answer) -> bool:
-        return self._domain.complete_slot in answer.said.informs
+        return self._domain.complete_slot in answer.answered.informs
 
     def _to_check(self, answer: Answer) -> Said:
         """Answers "..., is that right?" and "say it another way"."""
-        wishes = dict(answer.said.informs)
+        wishes = dict(answer.answered.informs)
         if answer.memory.checked:
             wishes = {answer.memory.checked: self._held[answer.memory.checked]}
         if not wishes:
@@ -214,7 +214,7 @@ class Person:
         return self._next()
 
     def _to_offer(self, answer: Answer) -> Said:
-        told = answer.said.informs
+        told = answer.answered.informs
         goal = self._goal.constraints
         wrong = [slot for slot, value in goal.items() if told.get(slot) != value]
         is_free = told[self._domain.complete_slot] not in _RESERVED or "available" in str(
@@ -230,14 +230,14 @@ class Person:
         return Said(self._choose(self._hand["yes"]), act="yes")
 
     def _to_question(self, answer: Answer) -> Said:
-        asked = answer.said.requests[0]
+        asked = answer.answered.requests[0]
         if (
             self._kind["asks"] == "back"
             and self.missing
             and self.last.requests != (self.missing[0],)
         ):
             return self._ask(self.missing[0])
-        if answer.said.choices:
+        if answer.answered.choices:
             own = self._goal.constraints.get(asked)
             return self._tell([asked]) if own else Said(self._choose(self._hand["any"]), act="any")
         if asked in self._goal.constraints:
@@ -247,7 +247,7 @@ class Person:
         return Said(self._choose(self._hand["any"]), act="any")
 
     def _to_telling(self, answer: Answer) -> Said:
-        told = answer.said.informs
+        told = answer.answered.informs
         if "no match" in told.values():  # the sentence names what does not go together
             goal = self._goal.constraints
             wrong = [

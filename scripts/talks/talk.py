@@ -58,7 +58,7 @@ class Talk:
             new = self.counts - earlier
             faults = [name for name in _FAULTS if new[name]]
             faults += ["unanswered"] * (new["answered"] < new["questions"])
-            note = f"heard {now.heard}" if now.acted else "asks"
+            note = f"heard {now.understood}" if now.acted else "asks"
             marks = "".join(f" !{name}" for name in faults)
             self.lines += [f"  person: {said.text}", f"  agent:  {now.text}  [{note}]{marks}"]
             answer, self.ended = now, now.ended
@@ -71,12 +71,12 @@ class Talk:
     def _held(self, answer: Answer | None) -> Mapping[str, str]:
         if answer is None or answer.memory.state is None:
             return {}
-        return self._partner._tracking.held(answer.memory.state)
+        return self._partner._tracking.kept(answer.memory.state)
 
     def _count(self, turn: int, said: Said, before: Answer | None, now: Answer) -> None:
         count = self.counts
         count["texts"] += 1
-        held, act = self._held(now), now.said
+        held, act = self._held(now), now.answered
         waiting = now.memory.asking.waiting
         kept = {**held, **(waiting.informs if waiting else {})}
         asked = {*act.requests, *(act.informs if act.act == "not_sure" else ())}
@@ -91,12 +91,12 @@ class Talk:
             self._told[slot] = (value, turn)
         if now.acted:
             count["acted"] += 1
-            heard = {k: v for k, v in now.heard.informs.items() if v not in _RESERVED}
+            heard = {k: v for k, v in now.understood.informs.items() if v not in _RESERVED}
             is_foreign = any(said.informs.get(k, self._earlier(k)) != v for k, v in heard.items())
-            questions = set(now.heard.requests) - {self._partner.domain.ticket_slot}
+            questions = set(now.understood.requests) - {self._partner.domain.ticket_slot}
             is_other = bool(questions - set(said.requests)) or not set(said.requests) <= questions
             count["wrong"] += is_foreign or is_other
-        was_offered = any(complete in answer.said.informs for _, answer in self.said)
+        was_offered = any(complete in answer.answered.informs for _, answer in self.said)
         for slot in said.requests:
             is_answered = act.informs.get(slot, "no match") not in _RESERVED
             count["questions"] += 1
@@ -105,7 +105,7 @@ class Talk:
             count["late_answered"] += was_offered and is_answered
             self._news = turn
         self._count_question(turn, said, now)
-        is_offered = before is not None and complete in before.said.informs
+        is_offered = before is not None and complete in before.answered.informs
         if said.act == "yes" and is_offered and not (before and before.memory.checked):
             count["yes"] += 1
             count["yes_ends"] += now.ended == "agent"
@@ -123,7 +123,7 @@ class Talk:
 
     def _count_question(self, turn: int, said: Said, now: Answer) -> None:
         """Counts a question of the agent's, and whether it was asked before in vain."""
-        act = now.said
+        act = now.answered
         if not (act.requests or act.act == "not_sure"):
             return
         slots = [now.memory.checked] if now.memory.checked else [*act.requests, *act.informs]

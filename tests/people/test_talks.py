@@ -74,7 +74,7 @@ def test_who_is_understood_rightly_is_served_rightly_even_by_an_agent_that_learn
 def test_values_and_questions_that_are_not_heard_are_counted(talks):
     deaf = Ears(lambda frame: Frame("greeting", {}, ("price",) if frame.requests else ()))
     for talk in talks("terse", deaf):
-        lost = [set(said.informs) - set(answer.said.requests) for said, answer in talk.said]
+        lost = [set(said.informs) - set(answer.answered.requests) for said, answer in talk.said]
         assert 0 < talk.counts["dropped"] <= sum(map(len, lost))
         assert talk.counts["answered"] == 0
         assert talk.counts["wrong"] == sum(bool(said.requests) for said, _ in talk.said)

@@ -129,29 +129,29 @@ class Chat:
             self._say(f"  find out: {name}")
 
     def _show_acts(self, turn: _Turn) -> None:
-        answer, understood = turn.answer, turn.answer.understood
-        if understood is None:
+        answer, reading = turn.answer, turn.answer.reading
+        if reading is None:
             self._say("understood: nothing")
             return
         self._say(
-            f"understood: {understood.frame} (confidence {understood.confidence:.2f}, "
-            f"by {'the endpoint' if understood.source == 'endpoint' else 'this package'})"
+            f"understood: {reading.frame} (confidence {reading.confidence:.2f}, "
+            f"by {'the endpoint' if reading.source == 'endpoint' else 'this package'})"
         )
-        for unclear in understood.unclear:
+        for unclear in reading.unclear:
             among = f", one of {', '.join(unclear.candidates)}" if unclear.candidates else ""
             self._say(f"unclear: {unclear.text} as {unclear.slot}{among}")
         if not answer.acted:
-            why = _WITHOUT_ACTION.get(answer.said.act, "it asked again")
+            why = _WITHOUT_ACTION.get(answer.answered.act, "it asked again")
             self._say(f"The agent took no action: {why}.")
             return
-        if str(answer.heard) != str(understood.frame):
-            self._say(f"with what was said before: {answer.heard}")
-        self._say(f"the agent's act: {answer.said}")
+        if str(answer.understood) != str(reading.frame):
+            self._say(f"with what was said before: {answer.understood}")
+        self._say(f"the agent's act: {answer.answered}")
         if answer.control:
             self._say(f"its first choice was kept back by the rules {', '.join(answer.control)}")
-        beliefs = self._partner.beliefs(turn.memory, answer.heard, turn.seed)
+        beliefs = self._partner.beliefs(turn.memory, answer.understood, turn.seed)
         if beliefs is None:
-            values = self._partner.values(turn.memory, answer.heard, turn.seed).items()
+            values = self._partner.values(turn.memory, answer.understood, turn.seed).items()
             self._table(("action", "Q"), [(name, f"{q:.2f}") for name, q in [*values][:_SHOWN]])
             self._say("This agent has no posterior: it does not know how sure it is.")
             return
@@ -167,7 +167,7 @@ class Chat:
         answer = turn.answer
         reasons = None
         if answer.acted:
-            reasons = self._partner.reasons(turn.memory, answer.heard, turn.seed)
+            reasons = self._partner.reasons(turn.memory, answer.understood, turn.seed)
         if reasons is None:
             self._say("There are no two actions to compare here.")
             return
@@ -186,7 +186,7 @@ class Chat:
             "": "The conversation is over.",
         }
         self._say(how[ended])
-        said = [(turn.answer.heard, turn.answer.said) for turn in self._turns]
+        said = [(turn.answer.understood, turn.answer.answered) for turn in self._turns]
         if self._goal is None:
             complete = self._partner.domain.complete_slot
             offers = [act.informs for _, act in said if complete in act.informs]

@@ -70,9 +70,9 @@ class Reply:
 
     Attributes:
         text: the agent's text.
-        heard: the act understood from the person's text.
-        said: the agent's act, with its values filled in. A booking informs the domain's complete
-            slot (``ticket available`` or ``no match``) and all values in the tracker.
+        understood: the act understood from the person's text.
+        answered: the agent's act, with its values filled in. A booking informs the domain's
+            complete slot (``ticket available`` or ``no match``) and all values in the tracker.
         confidence: the nlu's confidence, in [0, 1]; ``None`` without one.
         ended: whether the agent ends the conversation.
         state: everything the talker needs to answer the next text; the study stores it and passes
@@ -81,8 +81,8 @@ class Reply:
     """
 
     text: str
-    heard: Frame
-    said: Frame
+    understood: Frame
+    answered: Frame
     confidence: float | None = None
     ended: bool = False
     state: str = ""

@@ -33,7 +33,7 @@ class Nlg(Protocol):
     def agent(
         self,
         frame: Frame,
-        held: Mapping[str, str] | None = None,
+        kept: Mapping[str, str] | None = None,
         *,
         session: str | int = 0,
         turn: int = 0,
@@ -100,9 +100,9 @@ class Answer:
 
     Attributes:
         text: the agent's text.
-        understood: the nlu's result for the person's text; ``None`` if it could not be read.
-        heard: the act that the agent acted on, merged with the texts it had asked about.
-        said: the agent's act, with its values filled in.
+        reading: the nlu's result for the person's text; ``None`` if it could not be read.
+        understood: the act that the agent acted on, merged with the texts it had asked about.
+        answered: the agent's act, with its values filled in.
         memory: the agent's memory for the next text.
         acted: whether the agent took an action; otherwise it asked again, or greeted.
         ended: the cause of the end: ``"agent"``, ``"person"`` or ``"turns"``; else ``""``.
@@ -110,9 +110,9 @@ class Answer:
     """
 
     text: str
-    understood: Understood | None
-    heard: Frame
-    said: Frame
+    reading: Understood | None
+    understood: Frame
+    answered: Frame
     memory: Memory
     acted: bool = False
     ended: str = ""
@@ -177,7 +177,7 @@ class Partner:
         now = replace(before, texts=before.texts + 1, checked="")
         asking = before.asking
         words: dict[str, Any] = {"session": seed, "turn": now.texts}
-        last = None if before.state is None else self._tracking.said(before.state)
+        last = None if before.state is None else self._tracking.answered(before.state)
         try:
             understood = self._understood(text, asking.question(last))
         except TextError as error:
@@ -214,10 +214,10 @@ class Partner:
     ) -> Answer:
         """Returns the policy's answer to an act."""
         acted = self._acting.reply(now.state, heard, seed)
-        said, now = acted.said, replace(now, state=acted.state)
-        sentences = [self._nlg.agent(act, held, **words) for act, held in acted.parts]
-        last, held = acted.parts[-1]
-        known = {slot: value for slot, value in _values(held).items() if slot in last.requests}
+        said, now = acted.answered, replace(now, state=acted.state)
+        sentences = [self._nlg.agent(act, kept, **words) for act, kept in acted.parts]
+        last, kept = acted.parts[-1]
+        known = {slot: value for slot, value in _values(kept).items() if slot in last.requests}
         if last.act == "request" and known and "check" in self.control.rules:
             now = replace(now, checked=last.requests[0])
             sentences[-1] = self._nlg.check(known, **words)
@@ -225,7 +225,7 @@ class Partner:
         if not ended and 2 * now.texts >= self.agent.simulator.max_turn:
             ended = "turns"
         sentence, rules = " ".join(sentences), acted.control
-        return Answer(sentence, understood, acted.heard, said, now, True, ended, rules)
+        return Answer(sentence, understood, acted.understood, said, now, True, ended, rules)
 
     def _answer_to_check(self, before: Memory, text: str, frame: Frame) -> dict[str, Any] | None:
         """Returns the meaning of a text after "..., is that right?"; ``None`` for a plain no."""
@@ -239,7 +239,7 @@ class Partner:
             return {}
         if before.checked:
             assert before.state is not None
-            value = self._tracking.held(before.state)[before.checked]
+            value = self._tracking.kept(before.state)[before.checked]
             return {"frame": Frame("inform", {before.checked: value}), "confidence": 1.0}
         return {"frame": before.asking.waiting, "confidence": 1.0, "unclear": ()}
 
@@ -252,9 +252,9 @@ class Partner:
             now = replace(now, asking=Asking(before.asking.times))
             return self._ask_again(now, again, self._nlg.clarify(again, **words))
         assert now.state is not None
-        held = now.state["held"].clone()
-        held[self.domain.slots.index(before.checked)] = NONE
-        now = replace(now, state=now.state.replace(held=held))
+        kept = now.state["held"].clone()
+        kept[self.domain.slots.index(before.checked)] = NONE
+        now = replace(now, state=now.state.replace(held=kept))
         said = Frame("request", {}, (before.checked,))
         return Answer(self._nlg.agent(said, **words), understood, understood.frame, said, now)
 
@@ -290,7 +290,7 @@ class Partner:
             frame = replace(understood.frame, informs=self._spelling.of(values))
             return replace(understood, frame=frame)
         told = question.informs if question is not None else {}
-        informs, unclear = self._spelling.heard(text, values, told)
+        informs, unclear = self._spelling.understood(text, values, told)
         frame = replace(understood.frame, informs=informs)
         return replace(understood, frame=frame, unclear=(*understood.unclear, *unclear))
 

@@ -60,7 +60,7 @@ class Spelling:
         """Returns the values by slot in that spelling; unknown values are unchanged."""
         return {slot: self._lexicon.respell(slot, value) for slot, value in values.items()}
 
-    def heard(
+    def understood(
         self, text: str, values: Mapping[str, str], told: Mapping[str, str]
     ) -> tuple[dict[str, str], tuple[Unclear, ...]]:
         """Returns a person's values as the records have them, and those that are unclear.
@@ -77,7 +77,7 @@ class Spelling:
         Examples:
             >>> from bbq_torchrl.domains import movie_domain
             >>> spelling = Spelling(movie_domain())
-            >>> spelling.heard("at 11:35", {"starttime": "11:35 pm"}, {})
+            >>> spelling.understood("at 11:35", {"starttime": "11:35 pm"}, {})
             ({'starttime': '11:35am'}, ())
         """
         found: dict[str, str] = {}

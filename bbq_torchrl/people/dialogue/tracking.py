@@ -43,7 +43,7 @@ class Tracking:
         >>> tracking = Tracking(simulator, torch.ones(29, dtype=torch.bool))
         >>> state = tracking.start(Frame("request", {"moviename": "wonka"}, ("theater",)))
         >>> state = tracking.act(state, 6)
-        >>> str(tracking.said(state))
+        >>> str(tracking.answered(state))
         'request(moviename)'
         >>> state = tracking.hear(state, Frame("inform", {"moviename": "wonka"}))
         >>> tracking.observe(state).shape
@@ -105,7 +105,7 @@ class Tracking:
         """
         coding, tracker = self._coding, self._simulator.tracker
         before = coding.acts[int(state["heard_act"])]
-        act = coding.act(heard, self.said(state), before)
+        act = coding.act(heard, self.answered(state), before)
         utterance = Utterance(
             torch.tensor(self._simulator.domain.act[act]),
             torch.tensor(coding.ids(heard.informs)),
@@ -131,7 +131,7 @@ class Tracking:
         """Returns the observation, float32 ``[F]``."""
         return self._simulator.observe(state, self._active)
 
-    def said(self, state: TensorDict) -> Frame | None:
+    def answered(self, state: TensorDict) -> Frame | None:
         """Returns the agent's last act; ``None`` before its first."""
         act = int(state["agent_act"])
         if act < 0:
@@ -140,7 +140,7 @@ class Tracking:
             act, state["agent_informs"].tolist(), state["agent_requests"].tolist()
         )
 
-    def held(self, state: TensorDict) -> dict[str, str]:
+    def kept(self, state: TensorDict) -> dict[str, str]:
         """Returns the values that the tracker holds, by slot."""
         return self._coding.values(state["held"].tolist())
 
@@ -150,19 +150,19 @@ class Acted:
     """The acts of one reply.
 
     Attributes:
-        heard: the act that the agent replies to.
+        understood: the act that the agent replies to.
         state: the state of the tracker after the acts.
         parts: each act, and the tracker's values before it.
         control: the rules that kept the agent from its preferred act.
     """
 
-    heard: Frame
+    understood: Frame
     state: TensorDict
     parts: tuple[tuple[Frame, dict[str, str]], ...]
     control: tuple[str, ...]
 
     @property
-    def said(self) -> Frame:
+    def answered(self) -> Frame:
         """All acts as one: the last act, with the values that earlier answers inform."""
         *answers, (last, _) = self.parts
         informs = {slot: value for act, _ in answers for slot, value in act.informs.items()}
@@ -203,7 +203,7 @@ class Acting:
         legal = agent.legal
         is_ticket = heard == Frame("request", {}, (self._ticket,))
         if is_ticket and state is not None and "book" in control.rules:
-            last = self._tracking.said(state)
+            last = self._tracking.answered(state)
             if last is not None and self._complete in last.informs:
                 heard = Frame("thanks")
             else:
@@ -248,7 +248,7 @@ class Acting:
     ) -> TensorDict:
         """Returns the state after an act, and adds it to ``parts``."""
         after = self._tracking.act(state, action)
-        said = self._tracking.said(after)
+        said = self._tracking.answered(after)
         assert said is not None
-        parts.append((said, self._tracking.held(state)))
+        parts.append((said, self._tracking.kept(state)))
         return after

@@ -195,13 +195,13 @@ class EndpointGenerator:
     def agent(
         self,
         frame: Frame,
-        held: Mapping[str, str] | None = None,
+        kept: Mapping[str, str] | None = None,
         *,
         session: str | int = 0,
         turn: int = 0,
     ) -> str:
         """Returns an agent's sentence; the arguments are those of the local generator."""
-        own = self._own.agent(frame, held, session=session, turn=turn)
+        own = self._own.agent(frame, kept, session=session, turn=turn)
         given = {"act": str(frame), "for_example": own}
         try:
             answer = self._endpoint.ask(_SPEAK, given, _schema(text={"type": "string"}))

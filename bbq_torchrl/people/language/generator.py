@@ -117,7 +117,7 @@ class Generator:
     def agent(
         self,
         frame: Frame,
-        held: Mapping[str, str] | None = None,
+        kept: Mapping[str, str] | None = None,
         *,
         session: str | int = 0,
         turn: int = 0,
@@ -126,7 +126,7 @@ class Generator:
 
         Args:
             frame: the agent's act, with its values filled in.
-            held: the tracker's values; if no record matches, the answer names those in conflict.
+            kept: the tracker's values; if no record matches, the answer names those in conflict.
                 Values in ``frame`` count as well.
             session: determines the words, with ``turn``.
             turn: the number of the turn in the session.
@@ -139,9 +139,9 @@ class Generator:
             parts.append(self._choose(frame.requests[0], frame.choices, rng))
         elif complete in told:
             wishes = {slot: value for slot, value in told.items() if slot != complete}
-            parts.append(self._tell(complete, told[complete], {**(held or {}), **wishes}, rng))
+            parts.append(self._tell(complete, told[complete], {**(kept or {}), **wishes}, rng))
         else:
-            wishes = {**(held or {}), **told}
+            wishes = {**(kept or {}), **told}
             parts += [self._tell(slot, value, wishes, rng) for slot, value in told.items()]
             for use, slots in (("care", frame.dont_care), ("ask", frame.requests)):
                 for slot in slots:

@@ -86,12 +86,12 @@ class AgentTalker:
         with self._lock:
             memory = None if state is None else Memory.from_json(state)
             answer = partner.reply(memory, text, seed)
-            beliefs = partner.beliefs(memory, answer.heard, seed) if answer.acted else None
-        confidence = None if answer.understood is None else answer.understood.confidence
+            beliefs = partner.beliefs(memory, answer.understood, seed) if answer.acted else None
+        confidence = None if answer.reading is None else answer.reading.confidence
         return Reply(
             text=answer.text,
-            heard=answer.heard,
-            said=answer.said,
+            understood=answer.understood,
+            answered=answer.answered,
             confidence=confidence,
             ended=answer.ended in ("agent", "person"),  # the study counts turns itself
             state=answer.memory.to_json(),

@@ -111,7 +111,7 @@ class Conversations:
             text = _message(form)
             state = exchanges[-1].state if exchanges else None
             reply = self._talker.reply(session.agent, state, text, seed_of(session.id, number))
-            said = [*_frames(exchanges), (reply.heard, reply.said)]
+            said = [*_frames(exchanges), (reply.understood, reply.answered)]
             end = None
             if reply.ended:
                 end = ("agent", self._judge.reasons(self._goal(session), said))

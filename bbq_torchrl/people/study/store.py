@@ -242,8 +242,8 @@ class Store:
                 "INSERT INTO exchange VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
                 (
                     *(session.id, number, nonce, now, text, reply.text),
-                    json.dumps(act_content(reply.heard, reply.confidence)),
-                    json.dumps(act_content(reply.said)),
+                    json.dumps(act_content(reply.understood, reply.confidence)),
+                    json.dumps(act_content(reply.answered)),
                     *(beliefs, reply.state),
                 ),
             )

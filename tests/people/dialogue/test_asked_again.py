@@ -62,7 +62,7 @@ def test_the_level_of_text_hears_what_a_chat_hears(movie, agents, mouth, spellin
         meant = user._meant()
         answer, asks = partner.reply(None, user.say(None), 0), 0
         while not answer.acted:
-            answer = partner.reply(answer.memory, user.say(answer.said), 0)
+            answer = partner.reply(answer.memory, user.say(answer.answered), 0)
             asks += 1
         in_chat = list(ears.questions)
         ears.questions.clear()
@@ -70,8 +70,8 @@ def test_the_level_of_text_hears_what_a_chat_hears(movie, agents, mouth, spellin
         times, act, *rest = channel._hear(meant, None, goal).tolist()
         heard = channel.coding.frame(act, rest[: len(rest) // 2], rest[len(rest) // 2 :])
         assert ears.questions == in_chat
-        assert (times, heard.informs) == (asks, answer.heard.informs)
-        assert set(heard.requests) == set(answer.heard.requests)
+        assert (times, heard.informs) == (asks, answer.understood.informs)
+        assert set(heard.requests) == set(answer.understood.requests)
         asked.add(asks)
         choices += any("multiple_choice" in question for question in in_chat)
         ears.questions.clear()

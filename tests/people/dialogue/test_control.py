@@ -71,23 +71,23 @@ OFFER = (
 
 def test_a_yes_to_an_offer_that_stands_ends_the_dialogue(talk):
     *_, last = talk(OFFER, ("yes", "inform(price)", "thanks"))
-    assert (last.said.act, last.ended, last.control) == ("thanks", "agent", ("yes_ends",))
+    assert (last.answered.act, last.ended, last.control) == ("thanks", "agent", ("yes_ends",))
 
 
 def test_only_a_yes_to_an_offer_ends_the_dialogue(talk):
     more = ("inform(city=reno)", "thanks", "request(date)")
     *_, last = talk(OFFER, more)
-    assert (str(last.said), last.ended, last.control) == ("request(date)", "", ("yes_ends",))
+    assert (str(last.answered), last.ended, last.control) == ("request(date)", "", ("yes_ends",))
 
 
 @pytest.mark.parametrize("before", [(OFFER[0], "request(date)"), OFFER])
 def test_questions_are_answered_before_anything_else_in_the_same_reply(talk, before):
     asks = ("request(theater, starttime)", "inform(genre)", "thanks", "request(zip)")
     *_, answer = talk(before, asks)
-    assert answer.said.informs.keys() == {"theater", "starttime"}
-    assert answer.said.requests == ("zip",)
+    assert answer.answered.informs.keys() == {"theater", "starttime"}
+    assert answer.answered.requests == ("zip",)
     assert answer.control[0] == "answers_first"
-    for value in answer.said.informs.values():
+    for value in answer.answered.informs.values():
         assert value.lower() in answer.text.lower()
 
 
@@ -111,8 +111,8 @@ def test_answers_and_wishes_are_those_of_one_record(agents, mouth, spelling, mon
         for number, text in enumerate(texts):
             answer = partner.reply(memory, text, number)
             memory, asked = answer.memory, Frame.parse(text).requests
-            told |= answer.said.informs
-            assert set(asked) <= answer.said.informs.keys()
+            told |= answer.answered.informs
+            assert set(asked) <= answer.answered.informs.keys()
         wanted = {slot: told[slot] for slot in goal.requests}
         for slot, value in goal.constraints.items():
             if slot not in spelling.domain.free_slots:
@@ -124,9 +124,9 @@ def test_answers_and_wishes_are_those_of_one_record(agents, mouth, spelling, mon
 def test_no_act_is_repeated_unless_something_changed(talk):
     again = ("inform(numberofpeople=2)", "request(date)", "request(genre)")
     first, second = talk((SHOWING, "request(date)"), again)
-    assert (str(first.said), str(second.said)) == ("request(date)", "request(genre)")
+    assert (str(first.answered), str(second.answered)) == ("request(date)", "request(genre)")
     other = ("inform(city=reno)", "inform(taskcomplete)", "thanks")
-    assert [answer.said.informs["city"] for answer in talk(OFFER, other)] == ["newark", "reno"]
+    assert [answer.answered.informs["city"] for answer in talk(OFFER, other)] == ["newark", "reno"]
 
 
 def test_a_no_match_is_forgotten_when_the_person_tells_a_value(talk):
@@ -143,14 +143,14 @@ def test_what_is_known_is_checked_and_a_yes_confirms_it(talk):
     _, check, yes = talk(*KNOWN, ("yes", "request(genre)"))
     assert "right?" in check.text
     assert "reno" in check.text.lower()
-    assert str(yes.heard) == "inform(city=reno)"
+    assert str(yes.understood) == "inform(city=reno)"
 
 
 def test_a_no_to_a_check_forgets_the_value_and_asks_for_it(talk):
     *_, no, value = talk(*KNOWN, ("no",), ("inform(city=newark)", "request(genre)"))
-    assert (no.acted, str(no.said)) == (False, "request(city)")
+    assert (no.acted, str(no.answered)) == (False, "request(city)")
     assert "right?" not in no.text
-    assert value.heard.informs == {"city": "newark"}
+    assert value.understood.informs == {"city": "newark"}
 
 
 @pytest.mark.parametrize(
@@ -167,13 +167,13 @@ def test_a_sentence_in_doubt_is_checked_and_keeps_what_was_understood(talk, repl
     assert not check.acted
     assert "wonka" in check.text.lower()
     assert "right?" in check.text
-    assert answer.heard == Frame("request", informs, ("theater",))
+    assert answer.understood == Frame("request", informs, ("theater",))
 
 
 def test_a_no_to_what_was_in_doubt_asks_for_other_words(talk):
     _, no, said = talk(("wonka in reno?",), ("no",), ("inform(city=newark)", "request(date)"))
-    assert (no.acted, no.said) == (False, Frame("not_sure"))
-    assert said.heard.informs == {"city": "newark"}
+    assert (no.acted, no.answered) == (False, Frame("not_sure"))
+    assert said.understood.informs == {"city": "newark"}
 
 
 def test_book_it_makes_the_agent_offer_and_after_an_offer_it_is_a_yes(talk):
@@ -181,14 +181,14 @@ def test_book_it_makes_the_agent_offer_and_after_an_offer_it_is_a_yes(talk):
     offer, end = talk(
         told, ("request(ticket)", "request(genre)", OFFER[1]), ("request(ticket)", "thanks")
     )[1:]
-    assert "taskcomplete" in offer.said.informs
+    assert "taskcomplete" in offer.answered.informs
     assert offer.control == ("book",)
     assert end.ended == "agent"
 
 
 def test_a_name_that_no_record_has_is_asked_about(talk):
     (answer,) = talk(("inform(city=atlantis, moviename=barbie)",))
-    assert (answer.acted, answer.said.requests) == (False, ("city",))
+    assert (answer.acted, answer.answered.requests) == (False, ("city",))
     assert "atlantis" in answer.text.lower()
     assert answer.memory.asking.waiting.informs == {"moviename": "barbie"}
 
@@ -206,13 +206,13 @@ def test_the_agent_does_not_ask_for_what_it_should_know(talk, texts, slot):
     *first, last = texts
     before = [(text, "request(actor)") for text in first]
     *_, answer = talk(*before, (last, f"request({slot})", "request(zip)"))
-    assert answer.said.requests == ("zip",)
+    assert answer.answered.requests == ("zip",)
 
 
 def test_what_is_known_is_not_told_unasked_and_nothing_empty_is_said(talk):
     wishes = ("inform(city)", "confirm_question", "deny", "inform(theater)")
     (answer,) = talk((SHOWING, *wishes))
-    assert answer.said.informs.keys() == {"theater"}
+    assert answer.answered.informs.keys() == {"theater"}
     assert answer.control == ("news",)
 
 
@@ -223,7 +223,7 @@ def test_a_question_in_place_of_an_answer_is_read_by_itself(talk, rules, heard):
     *_, answer = talk(
         ("inform(moviename=wonka)", "request(city)"), ("where?", "thanks"), rules=rules
     )
-    assert str(answer.heard) == heard
+    assert str(answer.understood) == heard
 
 
 def test_only_words_of_farewell_end_a_conversation(talk):
@@ -234,14 +234,14 @@ def test_only_words_of_farewell_end_a_conversation(talk):
 
 def test_thanks_with_a_goodbye_ends_a_conversation_unless_it_takes_an_offer(talk):
     *_, answer = talk(*KNOWN, ("thanks, bye", "request(city)"))
-    assert (answer.heard, answer.ended) == (Frame("closing"), "person")
+    assert (answer.understood, answer.ended) == (Frame("closing"), "person")
     *_, answer = talk(OFFER, ("thanks, bye", "inform(price)", "thanks"))
-    assert (answer.said.act, answer.ended) == ("thanks", "agent")
+    assert (answer.answered.act, answer.ended) == ("thanks", "agent")
 
 
 def test_without_rules_the_agent_has_its_way(talk):
     first, second = talk((SHOWING, "request(city)"), ("yes", "request(city)"), rules=())
-    assert str(first.said) == str(second.said) == "request(city)"
+    assert str(first.answered) == str(second.answered) == "request(city)"
     assert "right?" not in first.text
     assert second.control == ()
 

@@ -91,11 +91,11 @@ def test_a_simulated_user_takes_an_offer_in_another_spelling(movie, spelling, mo
     ],
 )
 def test_a_time_or_day_is_the_one_that_records_have(spelling, text, heard, told, meant):
-    assert spelling.heard(text, heard, told) == (spelling.of(meant), ())
+    assert spelling.understood(text, heard, told) == (spelling.of(meant), ())
 
 
 @pytest.mark.parametrize("text", ["10:05", "five past ten"])
 def test_a_time_that_is_shown_in_the_morning_and_at_night_is_asked_about(spelling, text):
-    informs, (unclear,) = spelling.heard(text, {"starttime": "10:05 pm", "city": "reno"}, {})
+    informs, (unclear,) = spelling.understood(text, {"starttime": "10:05 pm", "city": "reno"}, {})
     assert informs == {"city": "reno"}
     assert (unclear.slot, unclear.candidates) == ("starttime", ("10:05am", "10:05 pm"))

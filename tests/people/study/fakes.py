@@ -50,8 +50,8 @@ class FakeTalker:
         )
         return Reply(
             text=answer,
-            heard=Frame("inform" if heard else "request", heard, asked),
-            said=said,
+            understood=Frame("inform" if heard else "request", heard, asked),
+            answered=said,
             confidence=0.875,
             ended=text == "bye",
             state=json.dumps(held),

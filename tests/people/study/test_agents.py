@@ -60,7 +60,7 @@ def test_simulated_users_take_part_in_a_study_of_trained_agents(study):
 def test_a_shipped_agent_talks_in_a_study(study):
     study = replace(study, terms=replace(study.terms, agents={"bbqn": "shipped:bbqn_map"}))
     reply = talkers.make_talker(study).reply("bbqn", None, "inform(moviename=barbie)", 0)
-    assert reply.heard.informs == {"moviename": "barbie"}
+    assert reply.understood.informs == {"moviename": "barbie"}
     assert reply.beliefs is not None
 
 
