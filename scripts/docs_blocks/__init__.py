@@ -5,10 +5,10 @@ Importing a module here registers its blocks by :func:`~scripts.docs_blocks.comm
 
 from __future__ import annotations
 
-from scripts.docs_blocks import config, domain, files, house, results, speed, story, tables
+from scripts.docs_blocks import best, config, domain, files, house, results, speed, story, tables
 from scripts.docs_blocks.common import BLOCKS
 
-__all__ = ["BLOCKS", "config", "domain", "draw_figures", "story", "tables"]
+__all__ = ["BLOCKS", "best", "config", "domain", "draw_figures", "story", "tables"]
 
 
 def draw_figures() -> None:

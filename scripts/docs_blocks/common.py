@@ -38,6 +38,11 @@ def code(text: object) -> str:
     return f"`{text}`"
 
 
+def short(rate: float) -> str:
+    """Returns a rate with three decimals, without its zero: ``.809``."""
+    return f"{rate:.3f}".removeprefix("0")
+
+
 def pivot(corner: str, cells: Mapping[tuple[str, str], object]) -> str:
     """Returns a table of cells by row and column, both in order of first appearance.
 

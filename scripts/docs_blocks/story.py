@@ -7,7 +7,7 @@ from statistics import fmean
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.evaluation import pairs, table1
-from scripts.docs_blocks.common import block, code, table
+from scripts.docs_blocks.common import block, code, short, table
 from scripts.docs_blocks.results import groups
 from scripts.docs_blocks.tables import measured, unspiked
 
@@ -50,12 +50,8 @@ def _verdict(*differences: Estimate) -> str:
     return "no, the reverse" if all(item.high < 0 for item in differences) else "not shown"
 
 
-def _short(rate: float) -> str:
-    return f"{rate:.3f}".lstrip("0")
-
-
 def _range(rates: Sequence[float]) -> str:
-    return f"{_short(min(rates))} to {_short(max(rates))}"
+    return f"{short(min(rates))} to {short(max(rates))}"
 
 
 def _dialogues(group: Group) -> int:
@@ -161,7 +157,7 @@ def _story() -> str:
         ),
         (
             "A trained agent beats a script",
-            f"`repair`, a script that reads only observations, books {_short(scripted)} of the "
+            f"`repair`, a script that reads only observations, books {short(scripted)} of the "
             f"full domain; the nine agents end at {BY_ENV.format(*map(_range, trained))}",
             "yes" if max(trained[0]) > scripted else "no",
         ),
@@ -185,7 +181,7 @@ def _story() -> str:
             "the same learner books {} of its training dialogues by Thompson sampling, {} "
             "greedily, {} by ε and {} by Boltzmann. But the paper's ε is not the best explorer of "
             "DQN: greedily it ends {} above".format(
-                *(_short(fmean(group.cumulative)) for group in explorers),
+                *(short(fmean(group.cumulative)) for group in explorers),
                 _difference(greedily, by_epsilon, "final"),
             ),
             _verdict(*(_difference(explorers[0], one, "cumulative") for one in explorers[1:])),
