@@ -13,7 +13,7 @@ from torch import Tensor, nn
 from bbq_torchrl.bayes.functional import as_rows
 from bbq_torchrl.bayes.posterior import GaussianPosterior
 from bbq_torchrl.bayes.scope import WeightMode, current_scope, resolve_weight_mode, weight_scope
-from bbq_torchrl.checks import check, one_of
+from bbq_torchrl.settings import check, one_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

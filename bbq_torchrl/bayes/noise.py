@@ -16,7 +16,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bbq_torchrl.checks import at_least, check
+from bbq_torchrl.settings import at_least, check
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -8,14 +8,14 @@ from typing import TYPE_CHECKING, SupportsIndex
 import torch
 from torch import Tensor
 
-from bbq_torchrl.checks import ABOVE_ZERO
+from bbq_torchrl.settings import ABOVE_ZERO
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
     from torch import nn
 
-    from bbq_torchrl.checks import Allowed
+    from bbq_torchrl.settings import Allowed
 
 
 def replica_shape(replicas: SupportsIndex | Sequence[int]) -> torch.Size:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args
 from tensordict.nn.probabilistic import InteractionType, interaction_type
 
 from bbq_torchrl.bayes.weight_draw import KL_KIND, KLKind
-from bbq_torchrl.checks import check, one_of
+from bbq_torchrl.settings import check, one_of
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Iterator, Mapping

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from bbq_torchrl.bayes.functional import once_differentiable
 from bbq_torchrl.bayes.noise import is_transformed
-from bbq_torchrl.checks import one_of
+from bbq_torchrl.settings import one_of
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence

@@ -19,8 +19,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.options.registry import EXPERIMENT, load_folder, options
-from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.runs.overrides import key_of, refuse_second_folder
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.output import between, page
 from bbq_torchrl.utils.text import sentence, shown

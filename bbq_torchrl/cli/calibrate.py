@@ -13,9 +13,10 @@ import sys
 from typing import TYPE_CHECKING, NamedTuple
 
 from bbq_torchrl.domains import importing
-from bbq_torchrl.options import CalibrateConfig, ConfigError
+from bbq_torchrl.options import CalibrateConfig
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.overrides import take_config_dir
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.output import page
 from bbq_torchrl.utils.text import shown

@@ -14,12 +14,13 @@ from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.options import ConfigError, EvaluateConfig
+from bbq_torchrl.options import EvaluateConfig
 from bbq_torchrl.options.task import replica_values
 from bbq_torchrl.runs.compose import compose, run_of
 from bbq_torchrl.runs.overrides import take_config_dir
 from bbq_torchrl.runs.resume import run_config
 from bbq_torchrl.runs.shipped import run_folder
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.output import page
 from bbq_torchrl.utils.text import shown

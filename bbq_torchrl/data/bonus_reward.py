@@ -10,7 +10,7 @@ from torch import Tensor
 from torchrl.envs import EnvBase, Transform
 
 from bbq_torchrl.bayes.replicas import checked_number
-from bbq_torchrl.checks import AT_LEAST_ZERO, COUNT, check
+from bbq_torchrl.settings import AT_LEAST_ZERO, COUNT, check
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchrl.envs.transforms import Transform
 
 from bbq_torchrl.bayes.replicas import replica_shape
-from bbq_torchrl.checks import ABOVE_ZERO_TO_ONE, at_least, check
+from bbq_torchrl.settings import ABOVE_ZERO_TO_ONE, at_least, check
 from bbq_torchrl.utils.seeds import checked_seed, unshared_seed
 
 if TYPE_CHECKING:

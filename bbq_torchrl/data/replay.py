@@ -10,7 +10,6 @@ from torch import Tensor
 from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
 from torchrl.envs import Compose
 
-from bbq_torchrl.checks import at_least, check
 from bbq_torchrl.data.rows import (
     Batch,
     gather_rows,
@@ -21,6 +20,7 @@ from bbq_torchrl.data.rows import (
 )
 from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
 from bbq_torchrl.protocols import Measured, Seeded, modules_with
+from bbq_torchrl.settings import at_least, check
 from bbq_torchrl.utils.seeds import checked_seed
 
 if TYPE_CHECKING:

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from bbq_torchrl.checks import INTEGER, NUMBER, TEXT, TEXTS, Allowed, check
 from bbq_torchrl.domains.faults import Source
 from bbq_torchrl.domains.specification import (
     ACTION_KINDS,
@@ -20,6 +19,7 @@ from bbq_torchrl.domains.specification import (
     ScriptedPolicySpec,
     repeated,
 )
+from bbq_torchrl.settings import INTEGER, NUMBER, TEXT, TEXTS, Allowed, check
 from bbq_torchrl.utils.files import read_yaml
 from bbq_torchrl.utils.text import shown
 

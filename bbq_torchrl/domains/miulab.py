@@ -12,13 +12,13 @@ from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from bbq_torchrl.checks import TEXT, check
 from bbq_torchrl.domains.domain import Domain
 from bbq_torchrl.domains.faults import DomainError, Fault, sentences
 from bbq_torchrl.domains.files import NEEDS_VALUES, SPECIFICATION_FILE, read_specification
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
 from bbq_torchrl.domains.specification import Goal
 from bbq_torchrl.domains.values import DIFFERENCE, misspellings
+from bbq_torchrl.settings import TEXT, check
 from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:

@@ -8,8 +8,8 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, exploration_type
 
-from bbq_torchrl.checks import at_least, check, one_of
 from bbq_torchrl.protocols import Resampled, provides
+from bbq_torchrl.settings import at_least, check, one_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping

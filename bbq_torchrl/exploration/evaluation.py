@@ -9,7 +9,6 @@ import torch
 from bbq_torchrl.bayes.layers import local_weight_scope
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
-from bbq_torchrl.checks import at_least, check, one_of
 from bbq_torchrl.exploration.base import (
     ActorPolicy,
     fit_posteriors,
@@ -17,6 +16,7 @@ from bbq_torchrl.exploration.base import (
     posterior_sums,
 )
 from bbq_torchrl.networks.q_actor import split_actor
+from bbq_torchrl.settings import at_least, check, one_of
 
 if TYPE_CHECKING:
     from tensordict import TensorDictBase

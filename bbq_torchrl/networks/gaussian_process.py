@@ -13,7 +13,7 @@ from bbq_torchrl.bayes.functional import FlatLayout, as_rows, init_linear_, mlp
 from bbq_torchrl.bayes.layers import BayesLayer
 from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.bayes.scope import WeightMode, current_scope, resolve_weight_mode
-from bbq_torchrl.checks import ABOVE_ZERO, at_least, check, one_of
+from bbq_torchrl.settings import ABOVE_ZERO, at_least, check, one_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -10,7 +10,7 @@ from torch import Tensor, nn
 from bbq_torchrl.bayes.functional import FlatLayout, as_rows, init_linear_, mlp
 from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.bayes.scope import WEIGHT_MODE, WeightMode, current_scope
-from bbq_torchrl.checks import AT_LEAST_ZERO, BELOW_ONE, at_least, check
+from bbq_torchrl.settings import AT_LEAST_ZERO, BELOW_ONE, at_least, check
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -11,7 +11,7 @@ from torchrl.modules import NoisyLinear
 from bbq_torchrl.bayes.functional import FlatLayout, as_rows
 from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.bayes.scope import WeightMode, resolve_weight_mode
-from bbq_torchrl.checks import ABOVE_ZERO, check
+from bbq_torchrl.settings import ABOVE_ZERO, check
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -14,9 +14,9 @@ from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.replicas import checked_number
 from bbq_torchrl.bayes.scope import KLSum
 from bbq_torchrl.bayes.weight_draw import KL_KIND, KLKind
-from bbq_torchrl.checks import ABOVE_ZERO, AT_LEAST_ZERO, check, one_of
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 from bbq_torchrl.objectives.rows import NumData
+from bbq_torchrl.settings import ABOVE_ZERO, AT_LEAST_ZERO, check, one_of
 
 if TYPE_CHECKING:
     from collections.abc import Hashable, Sequence
@@ -26,8 +26,8 @@ if TYPE_CHECKING:
     from torchrl.modules import QValueActor
 
     from bbq_torchrl.bayes.noise import NoiseSource
-    from bbq_torchrl.checks import Allowed
     from bbq_torchrl.objectives.value_function import Inputs
+    from bbq_torchrl.settings import Allowed
 
 Target = Literal["map", "mc"]
 TargetNoise = Literal["mean", "independent", "shared"]

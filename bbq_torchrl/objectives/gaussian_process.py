@@ -8,11 +8,11 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from bbq_torchrl.checks import ABOVE_ZERO, at_least, check, one_of
 from bbq_torchrl.networks.gaussian_process import GaussianProcess, StateFeatures
 from bbq_torchrl.networks.q_actor import legal_actions, masked
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 from bbq_torchrl.objectives.rows import rows_that_count
+from bbq_torchrl.settings import ABOVE_ZERO, at_least, check, one_of
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -15,11 +15,11 @@ from torchrl.objectives import DQNLoss
 from torchrl.objectives.utils import ValueEstimators
 
 from bbq_torchrl.bayes.replicas import checked_number, replicas_of
-from bbq_torchrl.checks import ABOVE_ZERO, PROBABILITY, check
 from bbq_torchrl.networks.q_actor import legal_actions, masked
 from bbq_torchrl.objectives.rows import row_entry, row_weights
 from bbq_torchrl.objectives.td_loss import DISTANCE, Distance, margin_loss, td_loss
 from bbq_torchrl.objectives.value_function import ValueFunction
+from bbq_torchrl.settings import ABOVE_ZERO, PROBABILITY, check
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence

@@ -9,8 +9,8 @@ from torch import Tensor
 
 from bbq_torchrl.bayes.functional import once_differentiable
 from bbq_torchrl.bayes.noise import is_transformed
-from bbq_torchrl.checks import one_of
 from bbq_torchrl.networks.q_actor import masked
+from bbq_torchrl.settings import one_of
 
 Distance = Literal["l2", "l1", "smooth_l1"]
 DISTANCE = one_of(*get_args(Distance))

@@ -16,7 +16,6 @@ from bbq_torchrl.options.logger import LoggerOption
 from bbq_torchrl.options.protocol import ProtocolOption
 from bbq_torchrl.options.registry import Option, explorations, register, schemas
 from bbq_torchrl.options.root import CalibrateConfig, Config, EvaluateConfig, agreement, validate
-from bbq_torchrl.options.settings import ConfigError, check_settings
 from bbq_torchrl.options.spike import SpikeOption
 from bbq_torchrl.options.task import Task
 
@@ -24,7 +23,6 @@ __all__ = [
     "AgentOption",
     "CalibrateConfig",
     "Config",
-    "ConfigError",
     "DomainOption",
     "EnvOption",
     "EvaluateConfig",
@@ -37,7 +35,6 @@ __all__ = [
     "SpikeOption",
     "Task",
     "agreement",
-    "check_settings",
     "explorations",
     "register",
     "schemas",

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from bbq_torchrl.options.registry import Option, register
-from bbq_torchrl.options.settings import (
+from bbq_torchrl.options.task import over_replicas, spread
+from bbq_torchrl.settings import (
     ABOVE_ZERO_TO_ONE,
     BELOW_ONE,
     BOOLEAN,
@@ -28,7 +29,6 @@ from bbq_torchrl.options.settings import (
     per_replica,
     setting,
 )
-from bbq_torchrl.options.task import over_replicas, spread
 
 if TYPE_CHECKING:
     from collections.abc import Iterable

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from bbq_torchrl.options.registry import Option, register
-from bbq_torchrl.options.settings import ANY_TEXT, BOOLEAN, REQUIRED, option, setting
+from bbq_torchrl.settings import ANY_TEXT, BOOLEAN, REQUIRED, option, setting
 
 if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain

@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from bbq_torchrl.options.registry import Option, register
-from bbq_torchrl.options.settings import (
+from bbq_torchrl.options.task import action_mask_key
+from bbq_torchrl.settings import (
     BOOLEAN,
     COUNT,
     NON_NEGATIVE_INTEGER,
@@ -22,7 +23,6 @@ from bbq_torchrl.options.settings import (
     other_default,
     setting,
 )
-from bbq_torchrl.options.task import action_mask_key
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

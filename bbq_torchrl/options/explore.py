@@ -7,7 +7,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from bbq_torchrl.options.registry import Option, register
-from bbq_torchrl.options.settings import (
+from bbq_torchrl.options.task import annealed_rounds, check_falls, replica_column
+from bbq_torchrl.settings import (
     BOOLEAN,
     POSITIVE,
     PROBABILITY,
@@ -18,7 +19,6 @@ from bbq_torchrl.options.settings import (
     per_replica,
     setting,
 )
-from bbq_torchrl.options.task import annealed_rounds, check_falls, replica_column
 
 if TYPE_CHECKING:
     from collections.abc import Callable

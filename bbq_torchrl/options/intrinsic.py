@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from bbq_torchrl.options.registry import Option, register
-from bbq_torchrl.options.settings import (
+from bbq_torchrl.options.task import over_replicas
+from bbq_torchrl.settings import (
     COUNT,
     COUNTS,
     NON_NEGATIVE,
@@ -18,7 +19,6 @@ from bbq_torchrl.options.settings import (
     per_replica,
     setting,
 )
-from bbq_torchrl.options.task import over_replicas
 
 if TYPE_CHECKING:
     from torch import nn

@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from bbq_torchrl.options.registry import Option, register
-from bbq_torchrl.options.settings import ANY_TEXT, ConfigError, option, setting
+from bbq_torchrl.settings import ANY_TEXT, ConfigError, option, setting
 from bbq_torchrl.utils.extras import install_command, sqlite_url
 from bbq_torchrl.utils.files import is_utf8, write_text
 from bbq_torchrl.utils.text import sentence, shown

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from bbq_torchrl.options.registry import Option, register
-from bbq_torchrl.options.settings import (
+from bbq_torchrl.settings import (
     BATCH,
     COUNT,
     NON_NEGATIVE_INTEGER,

@@ -15,7 +15,7 @@ from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
-from bbq_torchrl.options.settings import REQUIRED, Allowed, ConfigError
+from bbq_torchrl.settings import REQUIRED, Allowed, ConfigError
 from bbq_torchrl.utils.text import as_typed, shown
 
 if TYPE_CHECKING:
@@ -40,8 +40,8 @@ class Option(ABC):
     """A choice of a configuration group, as a dataclass.
 
     Its fields are keys with default, bounds and meaning
-    (:func:`~bbq_torchrl.options.settings.setting`). The field ``name``
-    (:func:`~bbq_torchrl.options.settings.option`) has its name on the command line. Importing an
+    (:func:`~bbq_torchrl.settings.setting`). The field ``name``
+    (:func:`~bbq_torchrl.settings.option`) has its name on the command line. Importing an
     option does not import torch; making it does.
 
     Attributes:
@@ -98,7 +98,7 @@ def register(option: Registered) -> Registered:
 
     Raises:
         TypeError: the class is not a dataclass of a group, lacks a required method, has a field
-            that is not declared by :func:`~bbq_torchrl.options.settings.setting`, or has the name
+            that is not declared by :func:`~bbq_torchrl.settings.setting`, or has the name
             of another option.
     """
     group, name = _group(option), _name(option)

@@ -30,7 +30,9 @@ from bbq_torchrl.options.intrinsic import IntrinsicOption  # noqa: TC001
 from bbq_torchrl.options.logger import LoggerOption  # noqa: TC001
 from bbq_torchrl.options.protocol import ProtocolOption  # noqa: TC001
 from bbq_torchrl.options.registry import Option, explorations
-from bbq_torchrl.options.settings import (
+from bbq_torchrl.options.spike import SpikeOption  # noqa: TC001
+from bbq_torchrl.options.task import lists
+from bbq_torchrl.settings import (
     ANY_TEXT,
     BATCH,
     COUNT,
@@ -41,14 +43,12 @@ from bbq_torchrl.options.settings import (
     THREADS,
     Allowed,
     ConfigError,
-    check_settings,
+    check_values,
     integers,
     one_of,
     optional,
     setting,
 )
-from bbq_torchrl.options.spike import SpikeOption  # noqa: TC001
-from bbq_torchrl.options.task import lists
 
 PLAYED = integers(1, 10**7)
 DEVICE = Allowed(
@@ -143,7 +143,7 @@ With it the time per row, measured on a CPU core for BBQN and DQN, batches of 32
 def agreement(check: Agreement) -> Agreement:
     """Registers a check of a training's configuration; a decorator.
 
-    The check raises :class:`~bbq_torchrl.options.ConfigError` for invalid combinations.
+    The check raises :class:`~bbq_torchrl.settings.ConfigError` for invalid combinations.
     """
     _AGREEMENTS[f"{check.__module__}.{check.__qualname__}"] = check
     return check
@@ -157,9 +157,9 @@ def validate(config: Config | EvaluateConfig | CalibrateConfig) -> None:
     """
     if isinstance(config, Config):
         # First, so that an error names the key that was given: other keys take over its values.
-        check_settings(config.env, "env.")
-        check_settings(config.protocol, "protocol.")
-    check_settings(config)
+        check_values(config.env, "env.")
+        check_values(config.protocol, "protocol.")
+    check_values(config)
     if not isinstance(config, Config):
         return
     _check_pair(config)

@@ -6,7 +6,7 @@ import math
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any, Protocol
 
-from bbq_torchrl.options.settings import ConfigError, Values, walk
+from bbq_torchrl.settings import ConfigError, Values, walk
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping, Sequence

@@ -13,7 +13,6 @@ import torch
 from bbq_torchrl.evaluation.bench import setting_name
 from bbq_torchrl.evaluation.rollouts import evaluation_rollouts
 from bbq_torchrl.evaluation.run_result import write_json
-from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.runs.checks import check
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.folders import run_lock
@@ -21,6 +20,7 @@ from bbq_torchrl.runs.loading import load_run
 from bbq_torchrl.runs.overrides import train_command
 from bbq_torchrl.runs.resume import is_finished, restarted_config
 from bbq_torchrl.runs.train import run
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import TrainingError, derive_seed, episode_stats
 from bbq_torchrl.utils.text import sentence
 

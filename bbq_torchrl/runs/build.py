@@ -17,9 +17,9 @@ from torchrl.envs import Compose
 import bbq_torchrl
 from bbq_torchrl.data.replay import TRANSITION_KEYS
 from bbq_torchrl.evaluation.rollouts import RoundEvaluator
-from bbq_torchrl.options import ConfigError, Task
-from bbq_torchrl.options.settings import walk
+from bbq_torchrl.options import Task
 from bbq_torchrl.options.task import action_mask_key, replica_values
+from bbq_torchrl.settings import ConfigError, walk
 from bbq_torchrl.trainers import derive_seed, episode_stats, keep_freed_memory, rollouts
 
 if TYPE_CHECKING:

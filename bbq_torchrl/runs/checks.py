@@ -7,9 +7,9 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 
-from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.runs.build import make_domain, spike_policy
 from bbq_torchrl.runs.resume import description, result_of
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import (
     CheckpointDamagedError,
     CheckpointFolder,

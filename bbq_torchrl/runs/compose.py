@@ -18,16 +18,8 @@ from omegaconf import DictConfig, OmegaConf, open_dict
 from omegaconf.errors import InterpolationResolutionError, OmegaConfBaseException
 from yaml import YAMLError
 
-from bbq_torchrl.options import (
-    CalibrateConfig,
-    Config,
-    ConfigError,
-    EvaluateConfig,
-    schemas,
-    validate,
-)
+from bbq_torchrl.options import CalibrateConfig, Config, EvaluateConfig, schemas, validate
 from bbq_torchrl.options.registry import conf_folder, options_folder
-from bbq_torchrl.options.settings import walk
 from bbq_torchrl.options.store import ROOTS, register_options
 from bbq_torchrl.runs.folders import quoted
 from bbq_torchrl.runs.overrides import (
@@ -41,6 +33,7 @@ from bbq_torchrl.runs.overrides import (
     too_large,
     unknown_key,
 )
+from bbq_torchrl.settings import ConfigError, walk
 from bbq_torchrl.utils.files import check_yaml
 from bbq_torchrl.utils.text import conceal_environment, sentence, shown
 

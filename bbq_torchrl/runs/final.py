@@ -23,9 +23,9 @@ from bbq_torchrl.evaluation.run_result import (
     replica_result,
     training_evaluation,
 )
-from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.task import replica_values
 from bbq_torchrl.protocols import enter_round
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import NonFiniteWeightsError, RunFolderGoneError
 from bbq_torchrl.utils.files import CURVE
 

@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING
 from filelock import FileLock, Timeout
 from omegaconf.errors import OmegaConfBaseException
 
-from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.runs.overrides import key_of
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils.files import CHECKPOINTS, CONFIG, HYDRA, LOCK, PROCESS, write_text
 from bbq_torchrl.utils.text import sentence
 

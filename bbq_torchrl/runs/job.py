@@ -27,7 +27,6 @@ from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import load_folder, options_folder
-from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.options.store import register_options
 from bbq_torchrl.runs.compose import session, to_config, why_refused
 from bbq_torchrl.runs.folders import quoted, refuse_other_folder, run_folder
@@ -40,6 +39,7 @@ from bbq_torchrl.runs.overrides import (
 )
 from bbq_torchrl.runs.resume import Resumption, is_finished, restarted_config
 from bbq_torchrl.runs.sweeps import FULL_ERROR, Sweep, prepare_sweep, refuse_unswept, silence_jobs
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.files import CONFIG
 from bbq_torchrl.utils.text import sentence

@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any, Literal, NamedTuple
 import torch
 from hydra.types import RunMode
 
-from bbq_torchrl.checks import check, one_of
-from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.registry import conf_folder, load_folder
 from bbq_torchrl.options.store import register_options
 from bbq_torchrl.protocols import enter_round
@@ -21,6 +19,7 @@ from bbq_torchrl.runs.overrides import key_of, too_large, unreadable
 from bbq_torchrl.runs.resume import Resumption, description, run_config
 from bbq_torchrl.runs.shipped import is_shipped, run_folder
 from bbq_torchrl.runs.train import make_agent, run
+from bbq_torchrl.settings import ConfigError, check, one_of
 from bbq_torchrl.trainers import BestWeights, CheckpointFolder, NonFiniteWeightsError
 from bbq_torchrl.utils.files import CHECKPOINTS
 

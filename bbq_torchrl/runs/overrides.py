@@ -22,14 +22,7 @@ from omegaconf.errors import (
 )
 from yaml import YAMLError
 
-from bbq_torchrl.options import (
-    CalibrateConfig,
-    Config,
-    ConfigError,
-    EvaluateConfig,
-    Option,
-    schemas,
-)
+from bbq_torchrl.options import CalibrateConfig, Config, EvaluateConfig, Option, schemas
 from bbq_torchrl.options.registry import (
     EXPERIMENT,
     conf_folder,
@@ -38,6 +31,7 @@ from bbq_torchrl.options.registry import (
     options_folder,
 )
 from bbq_torchrl.options.task import keys_with_lists
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils.extras import install_command
 from bbq_torchrl.utils.text import sentence, shown
 

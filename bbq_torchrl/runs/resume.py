@@ -13,7 +13,6 @@ from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
-from bbq_torchrl.options.settings import ConfigError, walk
 from bbq_torchrl.runs.compose import (
     load_yaml,
     options_of,
@@ -24,6 +23,7 @@ from bbq_torchrl.runs.compose import (
 )
 from bbq_torchrl.runs.folders import quoted, run_lock
 from bbq_torchrl.runs.overrides import key_of, not_an_option
+from bbq_torchrl.settings import ConfigError, walk
 from bbq_torchrl.utils.files import CONFIG, CURVE, RESULT, write_text
 from bbq_torchrl.utils.text import sentence, shown
 

@@ -18,12 +18,12 @@ from omegaconf import OmegaConf, open_dict, read_write
 
 from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT
-from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.runs.cluster import watched_head
 from bbq_torchrl.runs.compose import compose_raw, session, to_config
 from bbq_torchrl.runs.folders import named_folder, refuse_links, refuse_other_folder, reserve
 from bbq_torchrl.runs.overrides import LAUNCHER, key_of, read_override
 from bbq_torchrl.runs.resume import NOT_SWEPT, is_finished, restarted_config, run_config
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.files import (
     CONFIG,

@@ -13,9 +13,9 @@ import sys
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.options.registry import options
-from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.runs.overrides import take_config_dir
 from bbq_torchrl.search.definition import SEARCH, compose_search
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.extras import needed
 from bbq_torchrl.utils.output import page

@@ -20,7 +20,10 @@ from typing import TYPE_CHECKING, Any
 from omegaconf import OmegaConf
 
 from bbq_torchrl.options.registry import config_folders, options
-from bbq_torchrl.options.settings import (
+from bbq_torchrl.runs.compose import compose, load_yaml
+from bbq_torchrl.runs.overrides import is_swept, too_large, unreadable
+from bbq_torchrl.search.space import Parameter, as_entry, parse_parameter
+from bbq_torchrl.settings import (
     ANY_TEXT,
     BELOW_ONE,
     COUNT,
@@ -31,9 +34,6 @@ from bbq_torchrl.options.settings import (
     optional,
     setting,
 )
-from bbq_torchrl.runs.compose import compose, load_yaml
-from bbq_torchrl.runs.overrides import is_swept, too_large, unreadable
-from bbq_torchrl.search.space import Parameter, as_entry, parse_parameter
 from bbq_torchrl.utils.text import conceal_environment, sentence, shown
 
 if TYPE_CHECKING:

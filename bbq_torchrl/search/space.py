@@ -7,7 +7,7 @@ from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from bbq_torchrl.options.settings import (
+from bbq_torchrl.settings import (
     BOOLEAN,
     REQUIRED,
     Allowed,

@@ -20,7 +20,6 @@ from filelock import FileLock, Timeout
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.pool import NullPool
 
-from bbq_torchrl.options.settings import ConfigError
 from bbq_torchrl.runs.folders import refuse_links
 from bbq_torchrl.search.space import Choices, as_entry
 from bbq_torchrl.search.trials import (
@@ -30,6 +29,7 @@ from bbq_torchrl.search.trials import (
     trial_name,
     write_tables,
 )
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import TrainingError, derive_seed
 from bbq_torchrl.utils.extras import sqlite_url
 from bbq_torchrl.utils.files import CONFIG, read_yaml, write_text

@@ -6,9 +6,9 @@ from typing import TYPE_CHECKING, Literal, Protocol, get_args
 
 import torch
 
-from bbq_torchrl.checks import PROBABILITY, check, one_of
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import NONE
+from bbq_torchrl.settings import PROBABILITY, check, one_of
 from bbq_torchrl.simulator.choices import index_below
 from bbq_torchrl.simulator.tracker import AgentTurn, Utterance
 

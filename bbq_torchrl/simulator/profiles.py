@@ -10,9 +10,9 @@ from typing import TYPE_CHECKING, Any
 import torch
 from tensordict import TensorDict
 
-from bbq_torchrl.checks import ABOVE_ZERO_TO_ONE, PROBABILITY, USERS, Allowed, check, optional
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import DONT_CARE, NONE
+from bbq_torchrl.settings import ABOVE_ZERO_TO_ONE, PROBABILITY, USERS, Allowed, check, optional
 from bbq_torchrl.simulator.choices import index_below, rows
 from bbq_torchrl.utils.text import shown
 

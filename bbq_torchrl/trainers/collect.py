@@ -13,7 +13,7 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from bbq_torchrl.checks import BELOW_ONE, at_least, check
+from bbq_torchrl.settings import BELOW_ONE, at_least, check
 from bbq_torchrl.trainers.errors import SpikeError, TrainingError
 
 if TYPE_CHECKING:

@@ -13,7 +13,6 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch import Tensor, nn
 
-from bbq_torchrl.checks import at_least, check
 from bbq_torchrl.protocols import (
     Annealed,
     ReplicaOptimizer,
@@ -23,6 +22,7 @@ from bbq_torchrl.protocols import (
     modules_with,
     provides,
 )
+from bbq_torchrl.settings import at_least, check
 from bbq_torchrl.trainers.checkpoint import CheckpointFolder
 from bbq_torchrl.trainers.collect import collect_dialogues
 from bbq_torchrl.trainers.errors import (

@@ -9,7 +9,7 @@ from torch import Tensor, nn
 
 from bbq_torchrl.bayes.bayes_mlp import BayesMLP
 from bbq_torchrl.bayes.functional import as_rows
-from bbq_torchrl.checks import ABOVE_ZERO, at_least, check
+from bbq_torchrl.settings import ABOVE_ZERO, at_least, check
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -13,8 +13,8 @@ from torch import nn
 from torchrl.objectives import LossModule
 
 from bbq_torchrl.bayes.scope import KLSum, weight_scope
-from bbq_torchrl.checks import AT_LEAST_ZERO, COUNT, check
 from bbq_torchrl.objectives.rows import NumData, weights_of_rows
+from bbq_torchrl.settings import AT_LEAST_ZERO, COUNT, check
 
 if TYPE_CHECKING:
     from collections.abc import MutableMapping

@@ -10,8 +10,8 @@ import torch.nn.functional as F
 from tensordict.utils import unravel_key
 from torch import Tensor
 
-from bbq_torchrl.checks import ABOVE_ZERO, at_least, check, one_of
 from bbq_torchrl.data.bonus_reward import BonusReward
+from bbq_torchrl.settings import ABOVE_ZERO, at_least, check, one_of
 from bbq_torchrl.utils.seeds import checked_seed
 from bbq_torchrl.vime.information_gain import RunningMedian, information_gain
 

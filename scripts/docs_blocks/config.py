@@ -10,9 +10,9 @@ from typing import Any
 
 from bbq_torchrl.options import CalibrateConfig, Config, EvaluateConfig, explorations, schemas
 from bbq_torchrl.options.registry import EXPERIMENT, options
-from bbq_torchrl.options.settings import REQUIRED
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.search.definition import SEARCH, SearchConfig
+from bbq_torchrl.settings import REQUIRED
 from scripts.docs_blocks.common import block, code, table
 
 

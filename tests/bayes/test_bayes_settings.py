@@ -13,7 +13,7 @@ import torch
 
 from bbq_torchrl.bayes import BayesConv2d, BayesGRU, BayesMLP, GaussianPosterior
 from bbq_torchrl.bayes.replicas import checked_number
-from bbq_torchrl.checks import PROBABILITY
+from bbq_torchrl.settings import PROBABILITY
 
 
 @pytest.mark.parametrize("value", [1e-50, 1, 1e39, 10**20, np.float64(0.5)])

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 import pytest
 
-from bbq_torchrl.options import ConfigError
 from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.settings import ConfigError
 
 COSTLY = ["protocol.rounds=30", "protocol.dialogues=50", "protocol.batch_size=32"]
 COSTLY += ["protocol.capacity=640", "protocol.freezes=1", "protocol.epochs=2", "env.max_turn=38"]

@@ -16,7 +16,6 @@ from tiny import TINY
 from bbq_torchrl import load_run
 from bbq_torchrl.options import (
     AgentOption,
-    ConfigError,
     ExploreOption,
     agreement,
     explorations,
@@ -26,18 +25,18 @@ from bbq_torchrl.options import (
     validate,
 )
 from bbq_torchrl.options.registry import options
-from bbq_torchrl.options.settings import COUNT, option, setting
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.overrides import take_config_dir, train_command
 from bbq_torchrl.runs.resume import run_config, save_config
 from bbq_torchrl.runs.train import main as train_main
+from bbq_torchrl.settings import COUNT, ConfigError, option, setting
 
 STRATEGY = """
 from dataclasses import dataclass
 from typing import ClassVar
 
 from bbq_torchrl.options import ExploreOption, register
-from bbq_torchrl.options.settings import COUNT, option, setting
+from bbq_torchrl.settings import COUNT, option, setting
 
 
 @register

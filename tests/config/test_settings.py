@@ -6,18 +6,13 @@ import math
 
 import pytest
 
-from bbq_torchrl.options import (
-    CalibrateConfig,
-    Config,
-    ConfigError,
-    EvaluateConfig,
-    check_settings,
-    schemas,
-)
-from bbq_torchrl.options.settings import (
+from bbq_torchrl.options import CalibrateConfig, Config, EvaluateConfig, schemas
+from bbq_torchrl.settings import (
     POSITIVE,
     SEED,
     Allowed,
+    ConfigError,
+    check_values,
     integers,
     one_of,
     optional,
@@ -50,7 +45,7 @@ def valid(schema):
 
 @pytest.mark.parametrize("schema", OPTIONS)
 def test_a_value_that_is_not_allowed_is_refused_by_key_and_value(schema):
-    check_settings(valid(schema))
+    check_values(valid(schema))
     for key, item in leaves(schema):
         allowed = item.metadata["allowed"]
         refused = [value for value in CANDIDATES if not allowed.test(value)]
@@ -59,7 +54,7 @@ def test_a_value_that_is_not_allowed_is_refused_by_key_and_value(schema):
             config = valid(schema)
             setattr(config, key, value)
             with pytest.raises(ConfigError) as error:
-                check_settings(config)
+                check_values(config)
             assert str(error.value) == f"{key} must be {allowed.text}, got {value!r}"
 
 

@@ -14,11 +14,12 @@ from torchrl.data import Composite, Unbounded
 from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation import compare_runs
 from bbq_torchrl.evaluation.curves import read_metrics
-from bbq_torchrl.options import ConfigError, explorations, registry
+from bbq_torchrl.options import explorations, registry
 from bbq_torchrl.runs.checks import check
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import build_trainer, run
 from bbq_torchrl.search.definition import compose_search
+from bbq_torchrl.settings import ConfigError
 
 RUNS = {
     "agent and environment": ("agent=langevin", "agent.inverse_temperature=[1e4,1e8]"),

@@ -9,10 +9,10 @@ import shutil
 import pytest
 from tiny import TINY, rows
 
-from bbq_torchrl.options import ConfigError
 from bbq_torchrl.runs.checks import check
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import build_trainer, run
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils.extras import install_command
 
 

@@ -13,11 +13,11 @@ from forked import environment
 from hydra.core.utils import JobReturn, JobStatus
 from tiny import rows
 
-from bbq_torchrl.options import ConfigError
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.resume import load_config
 from bbq_torchrl.runs.sweeps import FULL_ERROR, Sweep, table_of_runs
 from bbq_torchrl.runs.train import run
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import RunFolderGoneError
 from bbq_torchrl.utils import interruption
 

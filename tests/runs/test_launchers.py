@@ -9,9 +9,9 @@ import pytest
 from prepared import prepare
 from tiny import TINY
 
-from bbq_torchrl.options import ConfigError
 from bbq_torchrl.runs.compose import compose, compose_raw, session
 from bbq_torchrl.runs.resume import restarted_config, save_config
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils.extras import install_command
 
 PLUGINS = {

@@ -15,10 +15,10 @@ from tiny import TINY, rows
 from torchrl.record.loggers import Logger
 
 from bbq_torchrl.evaluation.run_result import read_result
-from bbq_torchrl.options import ConfigError, LoggerOption, register
-from bbq_torchrl.options.settings import option
+from bbq_torchrl.options import LoggerOption, register
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import run
+from bbq_torchrl.settings import ConfigError, option
 from bbq_torchrl.trainers import TrainingError
 
 RUN = ["agent=dqn", *TINY, "replicas=2"]

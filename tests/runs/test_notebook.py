@@ -15,7 +15,7 @@ from hydra.core.global_hydra import GlobalHydra
 from tiny import TINY
 
 import bbq_torchrl
-from bbq_torchrl.options import ConfigError
+from bbq_torchrl.settings import ConfigError
 
 pytestmark = pytest.mark.usefixtures("without_curves")
 

@@ -8,10 +8,11 @@ from unittest.mock import Mock
 import pytest
 from prepared import prepare
 
-from bbq_torchrl.options import ConfigError, registry
+from bbq_torchrl.options import registry
 from bbq_torchrl.runs import checks, train
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.resume import save_config
+from bbq_torchrl.settings import ConfigError
 
 
 @pytest.fixture(autouse=True)

@@ -11,9 +11,9 @@ import yaml
 from prepared import resumed
 
 from bbq_torchrl.cli.evaluate import composed
-from bbq_torchrl.options import ConfigError
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.resume import load_config, save_config
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import text
 from bbq_torchrl.utils.text import sentence
 

@@ -15,12 +15,12 @@ from planted import plant, rewritten
 
 import train
 from bbq_torchrl.cli import evaluate
-from bbq_torchrl.options import ConfigError
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.folders import run_lock
 from bbq_torchrl.runs.job import REFUSED
 from bbq_torchrl.runs.resume import is_finished, load_config, run_config
 from bbq_torchrl.runs.train import run
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import NonFiniteWeightsError
 from bbq_torchrl.utils.files import LOCK, PROCESS, write_text
 

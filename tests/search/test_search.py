@@ -18,11 +18,11 @@ import pytest
 from filelock import FileLock, Timeout
 from tiny import rows
 
-from bbq_torchrl.options import ConfigError
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.resume import save_config
 from bbq_torchrl.search.__main__ import main
 from bbq_torchrl.search.definition import Search, compose_search
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import TrainingError
 
 optuna = pytest.importorskip("optuna", reason="needs the extra search")

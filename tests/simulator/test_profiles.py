@@ -7,10 +7,10 @@ from itertools import pairwise
 import pytest
 import torch
 
-from bbq_torchrl.checks import USERS
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.values import DONT_CARE, NONE, fold
 from bbq_torchrl.envs.measured import load_errors
+from bbq_torchrl.settings import USERS
 from bbq_torchrl.simulator import ErrorModel, Profile, Simulator
 from bbq_torchrl.simulator.profiles import HABITS, MIXES, Mix, check_slots, profiles_of
 from bbq_torchrl.simulator.user import MixedUser

@@ -18,7 +18,8 @@ import pytest
 import torch
 from trainer_parts import make_trainer
 
-from bbq_torchrl.options import ConfigError, LoggerOption, schemas
+from bbq_torchrl.options import LoggerOption, schemas
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import MetricsFile, RoundProgress
 
 LOGGERS = schemas()["logger"]

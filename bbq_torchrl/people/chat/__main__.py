@@ -13,9 +13,9 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.options import ConfigError
 from bbq_torchrl.options.registry import load_folder
 from bbq_torchrl.people.dialogue import RULE_NAMES
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import output
 from bbq_torchrl.utils.output import between, page
 from bbq_torchrl.utils.text import shown

@@ -20,9 +20,9 @@ from bbq_torchrl.envs import DialogueEnv
 from bbq_torchrl.exploration import EvaluationPolicy, Greedy, MajorityVote
 from bbq_torchrl.networks import BootstrapMLP, FlatMLP
 from bbq_torchrl.networks.q_actor import split_actor
-from bbq_torchrl.options import ConfigError
 from bbq_torchrl.people.dialogue import Belief, Beliefs
 from bbq_torchrl.runs.loading import load_run
+from bbq_torchrl.settings import ConfigError
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bbq_torchrl.checks import TEXTS
 from bbq_torchrl.people.language.confidence import CUES
+from bbq_torchrl.settings import TEXTS
 from bbq_torchrl.utils.files import write_bytes
 from bbq_torchrl.utils.text import sentence, shown
 

@@ -9,9 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from bbq_torchrl.checks import MAPPING, WORDS, Allowed, one_of, optional
 from bbq_torchrl.people.language.quantities import KINDS, Kind
 from bbq_torchrl.people.language.templates import Template, TemplateError, parse
+from bbq_torchrl.settings import MAPPING, WORDS, Allowed, one_of, optional
 from bbq_torchrl.utils.files import read_yaml
 from bbq_torchrl.utils.text import FaultsError, shown
 

@@ -9,9 +9,9 @@ from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.checks import PROBABILITY, TEXT, WORDS, Allowed, integers
 from bbq_torchrl.people.dialogue import RULE_NAMES
 from bbq_torchrl.people.study.address import ALLOWED, Address
+from bbq_torchrl.settings import PROBABILITY, TEXT, WORDS, Allowed, integers
 from bbq_torchrl.utils.files import read_yaml
 from bbq_torchrl.utils.text import FaultsError, shown
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 from os.path import expanduser
 from pathlib import Path
 
-from bbq_torchrl.options.settings import ConfigError
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils.text import shown
 
 __all__ = ["SHIPPED", "is_shipped", "run_folder", "shipped_agents"]

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.options import EnvOption, register
-from bbq_torchrl.options.settings import COUNT, REWARD, integers, option, setting
+from bbq_torchrl.settings import COUNT, REWARD, integers, option, setting
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from bbq_torchrl.options import AgentOption, ExploreOption, register
-from bbq_torchrl.options.settings import COUNTS, NON_NEGATIVE, SIZE, option, setting
 from bbq_torchrl.options.task import over_replicas
+from bbq_torchrl.settings import COUNTS, NON_NEGATIVE, SIZE, option, setting
 
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from bbq_torchrl.options import ExploreOption, register
-from bbq_torchrl.options.settings import (
+from bbq_torchrl.options.task import replica_column
+from bbq_torchrl.settings import (
     NON_NEGATIVE,
     Values,
     integers,
@@ -14,7 +15,6 @@ from bbq_torchrl.options.settings import (
     per_replica,
     setting,
 )
-from bbq_torchrl.options.task import replica_column
 
 if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase

@@ -6,7 +6,8 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.options import IntrinsicOption, register
-from bbq_torchrl.options.settings import (
+from bbq_torchrl.options.task import over_replicas
+from bbq_torchrl.settings import (
     NON_NEGATIVE,
     Values,
     integers,
@@ -14,7 +15,6 @@ from bbq_torchrl.options.settings import (
     per_replica,
     setting,
 )
-from bbq_torchrl.options.task import over_replicas
 
 if TYPE_CHECKING:
     from torchrl.envs import Transform

@@ -1,6 +1,20 @@
-"""Checks of settings: descriptions of allowed values, and errors for others.
+"""Settings: a dataclass field with its default, its allowed values and its meaning.
 
-``check("mode", mode, one_of("draw", "mean"))`` raises ``ValueError`` for any other mode.
+The one validator of options, study files, domain files, searches and constructors' arguments::
+
+    @dataclass
+    class Optimizer:
+        lr: float = setting(1e-3, STEP_SIZE, "learning rate")
+        steps: int = setting(REQUIRED, COUNT, "number of updates")
+
+
+    faults(Optimizer, {"lr": -1})  # {"lr": "lr must be ...", "steps": "steps must be given: ..."}
+    filled(Optimizer, {"steps": 3})  # Optimizer(lr=0.001, steps=3), or a ConfigError
+    check_values(optimizer)  # a ConfigError if a value of the instance is not allowed
+    check("lr", lr, STEP_SIZE)  # a ValueError if this value is not allowed
+
+Every sentence names the key, what is allowed and what was given. Values that the bounds below do
+not describe have an own :class:`Allowed`, a text and a test.
 """
 
 from __future__ import annotations
@@ -8,13 +22,23 @@ from __future__ import annotations
 import math
 import sys
 from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
+from typing import TYPE_CHECKING, Any, TypeVar
 
-from bbq_torchrl.utils.text import shown
+from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable
+    from collections.abc import Callable, Iterator
+
+    Values = float | list[float]
+else:
+    # OmegaConf has no union with a list, so the key's allowed values check the type.
+    Values = Any
+
+Schema = TypeVar("Schema")
+
+REQUIRED = "???"
+"""The default of a key that must be given, which OmegaConf also knows."""
 
 _LARGEST = sys.float_info.max
 
@@ -183,3 +207,113 @@ def check(name: str, value: Any, allowed: Allowed, error: type[ValueError] = Val
     if fault := allowed.fault(name, value):
         raise error(fault)
     return value
+
+
+class ConfigError(ValueError):
+    """An invalid configuration, explained in one sentence."""
+
+
+def setting(default: Any, allowed: Allowed, meaning: str) -> Any:
+    """A dataclass field with a default, the values it may take, and its meaning.
+
+    Args:
+        default: the default value, or :data:`REQUIRED`; lists and dicts are copied.
+        allowed: the allowed values.
+        meaning: the key's meaning, with its unit.
+    """
+    metadata = {"allowed": allowed, "meaning": meaning}
+    if isinstance(default, (list, dict)):
+        return field(default_factory=default.copy, metadata=metadata)
+    return field(default=default, metadata=metadata)
+
+
+def other_default(base: type, key: str, default: Any) -> Any:
+    """A base class's field with another default, the same allowed values and meaning."""
+    return field(default=default, metadata=base.__dataclass_fields__[key].metadata)  # type: ignore[attr-defined]
+
+
+def option(name: str) -> Any:
+    """The field ``name`` of an option, which identifies it in its group."""
+    return setting(name, one_of(name), "the option of the group; chosen by <group>=<option>")
+
+
+def walk(config: Any, prefix: str = "") -> Iterator[tuple[str, Field[Any], Any]]:
+    """Yields (dotted key, dataclass field, value) of every leaf of a configuration dataclass."""
+    for item in fields(config):
+        key = f"{prefix}{item.name}"
+        value = getattr(config, item.name)
+        if is_dataclass(value):
+            yield from walk(value, f"{key}.")
+        else:
+            yield key, item, value
+
+
+def check_values(config: Any, prefix: str = "") -> None:
+    """Checks every value of a configuration dataclass against what its field allows.
+
+    Args:
+        config: the dataclass.
+        prefix: prefix of keys in messages.
+
+    Raises:
+        ConfigError: the value of a key is not allowed.
+    """
+    for key, item, value in walk(config, prefix):
+        if fault := _fault(key, item, value):
+            raise ConfigError(fault)
+
+
+def faults(schema: type, given: Mapping[Any, Any], prefix: str = "") -> dict[Any, str]:
+    """Returns a sentence for each key that is unknown, missing, or has a value not allowed.
+
+    Args:
+        schema: a dataclass of settings.
+        given: values by key; other keys have their defaults.
+        prefix: prefix of keys in messages.
+
+    Examples:
+        >>> @dataclass
+        ... class Optimizer:
+        ...     lr: float = setting(1e-3, PROBABILITY, "learning rate")
+        ...     steps: int = setting(REQUIRED, COUNT, "number of updates")
+        >>> for sentence in faults(Optimizer, {"lr": -1, "step": 3}, "optimizer.").values():
+        ...     print(sentence)
+        optimizer.step is not a key; the keys are lr, steps
+        optimizer.lr must be a number between 0 and 1, got -1
+        optimizer.steps must be given: it must be an integer from 1 to 10**9
+    """
+    known = {item.name: item for item in fields(schema)}
+    found = {
+        key: f"{prefix}{sentence(key)} is not a key; the keys are {', '.join(known)}"
+        for key in given
+        if key not in known
+    }
+    for key, item in known.items():
+        default = None if item.default is MISSING else item.default
+        if key in given or default == REQUIRED:
+            fault = _fault(f"{prefix}{key}", item, given.get(key, default))
+            found |= {key: fault} if fault else {}
+    return found
+
+
+def filled(schema: type[Schema], given: Mapping[str, Any], prefix: str = "") -> Schema:
+    """Returns a dataclass of settings with the given values, otherwise its defaults.
+
+    Args:
+        schema: the dataclass.
+        given: values by key.
+        prefix: prefix of keys in messages.
+
+    Raises:
+        ConfigError: the first of :func:`faults`.
+    """
+    for fault in faults(schema, given, prefix).values():
+        raise ConfigError(fault)
+    return schema(**given)
+
+
+def _fault(key: str, item: Field[Any], value: Any) -> str | None:
+    allowed: Allowed = item.metadata["allowed"]
+    if value == REQUIRED:
+        return f"{key} must be given: it must be {allowed.text}"
+    return allowed.fault(key, value)
