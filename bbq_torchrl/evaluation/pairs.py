@@ -14,15 +14,13 @@ import numpy as np
 from bbq_torchrl.evaluation.curves import areas
 from bbq_torchrl.evaluation.finished_runs import distinguishing_keys
 from bbq_torchrl.utils.reports import NONE
-from bbq_torchrl.utils.statistics import estimate, holm, t_test
+from bbq_torchrl.utils.statistics import ALPHA, PValue, estimate, holm, t_test
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from bbq_torchrl.evaluation.groups import Group
     from bbq_torchrl.utils.statistics import Estimate
-
-ALPHA = 0.05
 
 EARLY = 1_000
 """First training dialogues that count as early success."""
@@ -152,17 +150,6 @@ def _compared(one: Group, other: Group) -> dict[str, tuple[list[float], list[flo
 def difference(values: Sequence[float]) -> Estimate:
     """Returns the mean of differences of rates with its t interval, printed with signs."""
     return estimate(values, "+.3f", bounds=(-1.0, 1.0))
-
-
-class PValue(float):
-    """A p-value, printed with three decimals."""
-
-    def __str__(self) -> str:
-        return f"{float(self):.3f}" if self >= 0.001 else "< .001"
-
-    def csv_columns(self) -> dict[str, float]:
-        """Returns the suffix of the CSV column and the number."""
-        return {"": float(self)}
 
 
 class Comparison(NamedTuple):

@@ -1,7 +1,8 @@
-"""Estimates over training seeds and their intervals. The unit is the seed, never the dialogue.
+"""Estimates with their intervals, and tests. The unit is the training seed or the participant.
 
-The standard error over dialogues (:func:`binomial_standard_error`) covers the measurement of one
-trained agent. The spread over seeds (:func:`estimate`) covers training.
+Dialogues of one seed, and sessions of one participant, are not independent. The standard error over
+dialogues (:func:`binomial_standard_error`) covers the measurement of one trained agent; the spread
+over seeds (:func:`estimate`) covers training.
 """
 
 from __future__ import annotations
@@ -9,33 +10,46 @@ from __future__ import annotations
 import math
 import warnings
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from itertools import chain
+from statistics import fmean
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 from scipy import special, stats
 
+from bbq_torchrl.utils.reports import NONE
+
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Collection, Sequence
+    from fractions import Fraction
+
+_Value = TypeVar("_Value")
 
 CONFIDENCE = 0.95
 """Confidence level of every interval."""
+
+ALPHA = 0.05
+"""Significance level of every test."""
 
 RESAMPLES = 9_999
 MIN_BOOTSTRAP = 5
 """Minimum number of seeds for a bootstrap: fewer give too few distinct samples."""
 
 ROUNDING = 1e-9
-"""Tolerance by which a mean over rounds may exceed its bounds."""
+"""Tolerance by which a mean over rounds may exceed its bounds, and equal numbers may differ."""
+
+_MAX_SUMS = 5_000_000
+_RANDOM_FLIPS = 99_999
 
 
 @dataclass(frozen=True)
 class Estimate:
-    """A value over seeds with its interval.
+    """A value over seeds or participants with its interval.
 
     Attributes:
-        value: the estimate.
-        low: lower end of the interval; NaN with too few seeds.
-        high: upper end of the interval; NaN with too few seeds.
+        value: the estimate; NaN without data.
+        low: lower end of the interval; NaN with too few data.
+        high: upper end of the interval; NaN with too few data.
         spec: default format of the numbers; ``+.3f`` shows the sign of differences.
     """
 
@@ -50,6 +64,8 @@ class Estimate:
     def __format__(self, spec: str) -> str:
         """Formats each number by ``spec``."""
         spec = spec or self.spec
+        if math.isnan(self.value):
+            return NONE
         if math.isnan(self.low):
             return format(self.value, spec)
         return f"{self.value:{spec}} [{self.low:{spec}}, {self.high:{spec}}]"
@@ -57,6 +73,19 @@ class Estimate:
     def csv_columns(self) -> dict[str, float]:
         """Returns suffixes of CSV columns and their numbers."""
         return {"": self.value, "_low": self.low, "_high": self.high}
+
+
+class PValue(float):
+    """A p-value, printed with three decimals; NaN if there was nothing to test."""
+
+    def __str__(self) -> str:
+        if math.isnan(self):
+            return NONE
+        return f"{float(self):.3f}" if self >= 0.001 else "< .001"
+
+    def csv_columns(self) -> dict[str, float]:
+        """Returns the suffix of the CSV column and the number."""
+        return {"": float(self)}
 
 
 def binomial_standard_error(rate: float, dialogues: int) -> float:
@@ -205,6 +234,165 @@ def holm(p_values: Sequence[float]) -> list[float]:
         largest = max(largest, min(1.0, (len(p_values) - rank) * p_values[index]))
         adjusted[index] = largest
     return adjusted
+
+
+def proportion(by_person: Collection[Sequence[bool]]) -> Estimate:
+    """Returns the share of participants' sessions that succeed.
+
+    The interval is Wilson's if nobody has several sessions, else that of :func:`participant_mean`.
+
+    Args:
+        by_person: each participant's successes and failures.
+
+    Examples:
+        >>> print(proportion([[True]] * 40 + [[False]] * 26))
+        0.61 [0.49, 0.71]
+    """
+    sessions = list(chain(*by_person))
+    if not sessions or any(len(person) > 1 for person in by_person):
+        return participant_mean(by_person, (0.0, 1.0))
+    found = stats.binomtest(sum(sessions), len(sessions)).proportion_ci(CONFIDENCE, "wilson")
+    value = fmean(sessions)
+    # Rounding must not put a rate of 0 or 1 outside its interval.
+    return Estimate(value, min(value, float(found.low)), max(value, float(found.high)), ".2f")
+
+
+def participant_mean(
+    by_person: Collection[Sequence[float]], bounds: tuple[float, float]
+) -> Estimate:
+    """Returns the mean of participants' means, with a Student t interval if there are several.
+
+    If that interval exceeds ``bounds``, or has no width because all participants are alike, two
+    participants are added, one at each bound, and the new interval is clipped to ``bounds``.
+    Bonett and Price (2012) adjust the interval of a difference of paired rates like this.
+
+    Args:
+        by_person: each participant's values.
+        bounds: the smallest and the largest possible value.
+
+    Examples:
+        >>> print(participant_mean([[5.0], [5.0], [5.0]], (1, 5)))
+        5.00 [1.98, 5.00]
+    """
+    means = [fmean(person) for person in by_person if person]
+    if not means:
+        return Estimate(math.nan)
+    found = estimate(means, ".2f", bounds=bounds)
+    if found.low == bounds[0] or found.high == bounds[1] or found.low == found.high:
+        more = estimate([*means, *bounds], bounds=bounds)
+        low, high = min(found.value, more.low), max(found.value, more.high)
+        return Estimate(found.value, low, high, ".2f")
+    return found
+
+
+def kappa(by_person: Sequence[Sequence[tuple[bool, bool]]]) -> Estimate:
+    """Returns Cohen's κ of two judges with its interval by :func:`bootstrap`.
+
+    Args:
+        by_person: each participant's pairs of verdicts.
+
+    Returns:
+        The estimate; NaN if all verdicts are the same, which leaves no agreement beyond chance.
+    """
+    all_verdicts = [(True, True), (True, False), (False, True), (False, False)]
+    return bootstrap(_kappa, by_person, [all_verdicts])
+
+
+def _kappa(pairs: Sequence[tuple[bool, bool]]) -> float:
+    verdicts = np.asarray(pairs, dtype=float).reshape(-1, 2)
+    agreed = float((verdicts[:, 0] == verdicts[:, 1]).mean()) if len(verdicts) else math.nan
+    one, other = verdicts.mean(0).tolist() if len(verdicts) else (0.0, 0.0)
+    chance = one * other + (1 - one) * (1 - other)
+    return (agreed - chance) / (1 - chance) if chance < 1 else math.nan
+
+
+def auroc(by_person: Sequence[Sequence[tuple[float, bool]]]) -> Estimate:
+    """Returns the probability that a failure scores higher than a success, ties counting half.
+
+    Args:
+        by_person: each participant's sessions, with score and whether they failed.
+
+    Returns:
+        The estimate with its interval by :func:`bootstrap`; NaN without failures or without
+        successes.
+    """
+    return bootstrap(_auroc, by_person, [[(math.inf, True)], [(-math.inf, True)]])
+
+
+def _auroc(sessions: Sequence[tuple[float, bool]]) -> float:
+    scores, failed = np.asarray(sessions, dtype=float).reshape(-1, 2).T
+    failures, successes = failed.sum(), (1 - failed).sum()
+    if not failures or not successes:
+        return math.nan
+    wins = stats.rankdata(scores) @ failed - failures * (failures + 1) / 2
+    return float(wins / (failures * successes))
+
+
+def bootstrap(
+    statistic: Callable[[Sequence[_Value]], float],
+    by_person: Sequence[Sequence[_Value]],
+    doubtful: Sequence[Sequence[_Value]],
+    resamples: int = 2_000,
+) -> Estimate:
+    """Returns a statistic with its 95 % percentile bootstrap interval over participants.
+
+    Args:
+        statistic: from the values of all sessions; NaN if they do not define it.
+        by_person: the values of each participant's sessions.
+        doubtful: participants who are added if all resamples are equal, such as those of a few
+            sessions that all agree: they give the interval a width.
+        resamples: the number of bootstrap samples.
+    """
+    people = [person for person in by_person if person]
+    value = statistic(list(chain(*people)))
+    if math.isnan(value) or len(people) < 2:
+        return Estimate(value, spec=".2f")
+    for drawn_from in (people, [*people, *doubtful]):
+        count = len(drawn_from)
+        times = np.random.default_rng(0).multinomial(count, [1 / count] * count, resamples)
+        drawn = [
+            statistic([item for who in np.repeat(range(count), row) for item in drawn_from[who]])
+            for row in times
+        ]
+        low, high = np.nanquantile(drawn, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]).tolist()
+        if high - low > ROUNDING:
+            break
+    return Estimate(value, min(low, value), max(high, value), ".2f")
+
+
+def sign_flip(differences: Sequence[Fraction]) -> float:
+    """Returns the two-sided p-value of the sign-flip permutation test of a mean of 0.
+
+    If two agents are alike, a participant's difference between them is as likely as its opposite:
+    p is the share of all sign flips whose sum is at least as far from 0. All sign flips are
+    counted, or 99,999 random ones (by SciPy) if the denominators have too little in common.
+
+    Args:
+        differences: one for each participant.
+
+    Examples:
+        >>> from fractions import Fraction
+        >>> sign_flip([Fraction(1)] * 6)
+        0.03125
+    """
+    weights = [difference for difference in differences if difference]
+    scale = math.lcm(*(weight.denominator for weight in weights))
+    sizes = [abs(int(weight * scale)) for weight in weights]
+    if sum(sizes) > _MAX_SUMS:
+        found = stats.permutation_test(
+            (np.array(weights, dtype=float),),
+            np.mean,
+            permutation_type="samples",
+            n_resamples=_RANDOM_FLIPS,
+            rng=np.random.default_rng(0),
+        )
+        return float(found.pvalue)
+    # ways[s]: probability that the weights flipped to the positive side add up to s.
+    ways = np.ones(1)
+    for size in sizes:
+        ways = np.pad(ways, (0, size)) / 2 + np.pad(ways, (size, 0)) / 2
+    sums = np.abs(2 * np.arange(ways.size) - sum(sizes))
+    return min(1.0, float(ways[sums >= abs(int(sum(weights) * scale))].sum()))
 
 
 def pass_k(successes: Any, plays: Any, k: int) -> Any:

@@ -218,7 +218,7 @@ def _report(given: argparse.Namespace) -> None:
 
 
 def _participants(given: argparse.Namespace) -> None:
-    from bbq_torchrl.people.study.keeping import export_participants
+    from bbq_torchrl.people.study.export import export_participants
 
     file = given.out or given.study.with_name(f"{given.study.stem}-participants.csv")
     if file.suffix != ".csv":  # such as the study's data
@@ -230,14 +230,14 @@ def _participants(given: argparse.Namespace) -> None:
 
 
 def _backup(given: argparse.Namespace) -> None:
-    from bbq_torchrl.people.study.keeping import backup
+    from bbq_torchrl.people.study.export import backup
 
     backup(data_of(given.study), given.copy)
     _say(f"copied to {given.copy}, with texts and the secret of all links: keep it as safe")
 
 
 def _forget(given: argparse.Namespace) -> None:
-    from bbq_torchrl.people.study.keeping import forget
+    from bbq_torchrl.people.study.export import forget
 
     number = forget(data_of(given.study), given.participant)
     _say(f"person {number} is forgotten; copies and reports made before still have them")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache
@@ -12,13 +13,13 @@ import numpy as np
 from scipy import optimize, special, stats
 
 from bbq_torchrl.people.study.records import HIGHEST, LOWEST
-from bbq_torchrl.people.study.statistics import Interval, mann_whitney, mean, sign_flip, two_by_two
-from bbq_torchrl.utils.statistics import holm
+from bbq_torchrl.utils.statistics import ALPHA, PValue, holm, participant_mean, sign_flip
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Mapping, Sequence
 
     from bbq_torchrl.people.study.results import Results
+    from bbq_torchrl.utils.statistics import Estimate
 
 
 class Difference(NamedTuple):
@@ -32,9 +33,9 @@ class Difference(NamedTuple):
     """
 
     people: int
-    mean: Interval
-    p: float
-    holm: float
+    mean: Estimate
+    p: PValue
+    holm: PValue
 
 
 class Comparison(NamedTuple):
@@ -54,9 +55,9 @@ class Comparison(NamedTuple):
     worse: str
     success: Difference
     rating: Difference
-    fisher: float
-    boschloo: float
-    mann_whitney: float
+    fisher: PValue
+    boschloo: PValue
+    mann_whitney: PValue
 
 
 def compare_pairs(results: Results, without: Collection[str] = ()) -> list[Comparison]:
@@ -76,8 +77,14 @@ def compare_pairs(results: Results, without: Collection[str] = ()) -> list[Compa
     ):
         won = [list(chain(*results.successes(agent).values())) for agent in (better, worse)]
         rated = [list(chain(*results.ratings(agent).values())) for agent in (better, worse)]
-        tests = (*two_by_two(*won), mann_whitney(*rated))
-        compared.append(Comparison(better, worse, in_success, in_rating, *tests))
+        table = [[sum(side), len(side) - sum(side)] for side in won]
+        tests = (
+            stats.fisher_exact(table),
+            stats.boschloo_exact(table),
+            stats.mannwhitneyu(*rated) if all(rated) else None,
+        )
+        p_values = [PValue(math.nan if test is None else test.pvalue) for test in tests]
+        compared.append(Comparison(better, worse, in_success, in_rating, *p_values))
     return compared
 
 
@@ -97,14 +104,13 @@ def _differences(
     p = list(map(sign_flip, pairs))
     return [
         Difference(
-            len(values), mean([[float(value)] for value in values], (-most, most)), own, adjusted
+            len(values),
+            participant_mean([[float(value)] for value in values], (-most, most)),
+            PValue(own),
+            PValue(adjusted),
         )
         for values, own, adjusted in zip(pairs, p, holm(p), strict=True)
     ]
-
-
-LEVEL = 0.05
-"""The significance level of the tests."""
 
 
 @dataclass(frozen=True)
@@ -155,7 +161,7 @@ def power(
         rng.binomial(sessions, special.expit(_center(rate, person_sd) + shift))
         for rate in (better, worse)
     ]
-    level, count = LEVEL / pairs, people * sessions
+    level, count = ALPHA / pairs, people * sessions
 
     @cache
     def flipped(differences: tuple[int, ...]) -> float:

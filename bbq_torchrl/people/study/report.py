@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.people.study.comparisons import compare_pairs
 from bbq_torchrl.people.study.database import PRIVATE
-from bbq_torchrl.people.study.keeping import export
+from bbq_torchrl.people.study.export import export
 from bbq_torchrl.people.study.records import HIGHEST, LOWEST, SCALES
 from bbq_torchrl.people.study.simulate import RATING_RULE
-from bbq_torchrl.people.study.statistics import auroc, kappa, mean, proportion
 from bbq_torchrl.utils.files import write_bytes, write_text
 from bbq_torchrl.utils.reports import table
+from bbq_torchrl.utils.statistics import auroc, kappa, participant_mean, proportion
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.people.study.comparisons import Comparison
     from bbq_torchrl.people.study.results import Result, Results
-    from bbq_torchrl.people.study.statistics import Interval
+    from bbq_torchrl.utils.statistics import Estimate
 
 FIRST = 3
 """The number of a session's first answers whose entropy could warn in time."""
@@ -72,17 +72,19 @@ def _agents(results: Results) -> Iterator[str]:
     yield "## Agents"
     rows = []
     for agent in results.terms.agents:
-        success = proportion(results.successes(agent).values())
+        by_person = results.successes(agent).values()
         own = proportion(results.by_person(lambda item: item.verdict, agent).values())
         bounds = LOWEST, HIGHEST
-        scales = [mean(results.ratings(agent, name).values(), bounds) for name in SCALES]
-        rows.append((agent, success.count, success, own, *scales))
+        scales = [
+            participant_mean(results.ratings(agent, name).values(), bounds) for name in SCALES
+        ]
+        rows.append((agent, _count(by_person), proportion(by_person), own, *scales))
     yield table(("agent", "sessions", "success", "own verdict", *SCALES), rows)
     yield (
-        "Means with 95 % intervals: Wilson's for success (sessions of one person counted by "
-        "their design effect), Student's t over people for ratings from 1 to 5. Where that would "
-        "leave the scale, or has no width, two more people are counted, one at each end of the "
-        "scale (Bonett and Price 2012); so it is for differences. Success is the judge's, by goal "
+        "Means with 95 % intervals: Wilson's for success if everybody meets an agent once, else "
+        "Student's t over people, as for ratings from 1 to 5. Where that would leave the scale, or "
+        "has no width, two more people are counted, one at each end of the scale (Bonett and Price "
+        "2012); so it is for differences. Success is the judge's, by goal "
         f"card and dialogue acts; own verdict is what {_who(results)} said."
     )
     yield "![Success of each agent](success.png)"
@@ -101,8 +103,8 @@ def _pairs(results: Results) -> Iterator[str]:
         "independent and stand beside it, unadjusted. The unit is the person."
     )
     rows = [
-        (f"{item.better} – {item.worse}", item.rating.mean, _p(item.rating.p),
-         _p(item.rating.holm), _p(item.mann_whitney))
+        (f"{item.better} – {item.worse}", item.rating.mean, item.rating.p,
+         item.rating.holm, item.mann_whitney)
         for item in comparisons
     ]  # fmt: skip
     yield table(("pair", "overall rating", "p sign-flip", "Holm", "Mann-Whitney"), rows)
@@ -114,7 +116,7 @@ def _pairs(results: Results) -> Iterator[str]:
 def _comparison_table(comparisons: Iterable[Comparison]) -> str:
     rows = [
         (f"{item.better} – {item.worse}", item.success.people, item.success.mean,
-         _p(item.success.p), f"**{_p(item.success.holm)}**", _p(item.fisher), _p(item.boschloo))
+         item.success.p, f"**{item.success.holm}**", item.fisher, item.boschloo)
         for item in comparisons
     ]  # fmt: skip
     head = ("pair", "people", "success", "p sign-flip", "Holm", "Fisher", "Boschloo")
@@ -159,8 +161,8 @@ def _agreement(results: Results) -> Iterator[str]:
         yield "κ is undefined: one of the two is always the same, or nothing is rated."
     else:
         yield (
-            f"Cohen's κ {found} over {found.count} sessions (95 % bootstrap interval over people; "
-            "Wilson's where all resamples agree alike)."
+            f"Cohen's κ {found} over {_count(both.values())} sessions "
+            "(95 % bootstrap interval over people)."
         )
 
 
@@ -179,8 +181,8 @@ def _uncertainty(results: Results) -> Iterator[str]:
         head = ("agent", "sessions", "entropy", f"entropy of the first {FIRST} answers", "length")
         yield table(head, rows)
         yield (
-            "Area under the curve as a sign of failure, with 95 % bootstrap intervals over people "
-            "(Newcombe's where all resamples are ordered alike): .5 says nothing, 1 all. "
+            "Area under the curve as a sign of failure, with 95 % bootstrap intervals over people: "
+            ".5 says nothing, 1 all. "
             "Entropy is that of the best action, a mean over a session's "
             "answers or over its first ones; length is the number of messages. Where conversations "
             "that fail are long, a sign that comes no sooner than length and is no better adds "
@@ -190,7 +192,7 @@ def _uncertainty(results: Results) -> Iterator[str]:
 
 def _warning(
     people: Collection[Sequence[Result]], sign: Callable[[Result], float | None]
-) -> Interval:
+) -> Estimate:
     """Returns the AUROC of a sign as a predictor of failed sessions, where it is present."""
     return auroc(
         [
@@ -213,8 +215,8 @@ def _who(results: Results) -> str:
     return "simulated users" if results.simulated else "people"
 
 
-def _p(value: float) -> str:
-    return "< 0.001" if value < 0.001 else f"{value:.3f}"
+def _count(by_person: Collection[Sequence[object]]) -> int:
+    return sum(map(len, by_person))
 
 
 BAR = "#56B4E9"
@@ -233,11 +235,12 @@ def draw_success(file: Path, results: Results, comparisons: Sequence[Comparison]
     axes = _axes(results)
     level = 0.0
     for place, agent in enumerate(agents):
-        share = proportion(results.successes(agent).values())
-        if share.count:
+        by_person = results.successes(agent).values()
+        share = proportion(by_person)
+        if by_person:
             error = [[share.value - share.low], [share.high - share.value]]
             axes.bar(place, share.value, color=BAR, yerr=error, capsize=4, width=0.6)
-            axes.text(place, 0.02, f"n = {share.count}", ha="center", fontsize=8)
+            axes.text(place, 0.02, f"n = {_count(by_person)}", ha="center", fontsize=8)
             level = max(level, share.high)
     level += 0.04
     for comparison in comparisons:
@@ -246,7 +249,7 @@ def draw_success(file: Path, results: Results, comparisons: Sequence[Comparison]
             heights = [level, level + 0.02, level + 0.02, level]
             axes.plot([left, left, right, right], heights, color="black", lw=1)
             p = comparison.success.holm
-            label = f"p = {p:.3f}" if p >= 0.001 else "p < 0.001"
+            label = f"p {'' if p < 0.001 else '= '}{p}"
             axes.text((left + right) / 2, level + 0.025, label, ha="center", fontsize=8)
             level += 0.09
     axes.set(ylabel="success rate", ylim=(0, max(1.0, level + 0.03)))
@@ -271,7 +274,9 @@ def draw_ratings(file: Path, results: Results) -> None:
             axes.bar(place, share, bottom=bottom, color=color, width=0.6, **label)
             bottom += share
         if values:
-            text = f"mean {mean(people, (LOWEST, HIGHEST)).value:.2f}\nn = {len(values)}"
+            text = (
+                f"mean {participant_mean(people, (LOWEST, HIGHEST)).value:.2f}\nn = {len(values)}"
+            )
             axes.text(place, 1.02, text, ha="center", fontsize=8)
     whose = "simulated " if results.simulated else ""
     axes.set(ylabel=f"share of {whose}ratings", ylim=(0, 1.15))

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 
 import bbq_torchrl
 from bbq_torchrl.people.study.database import StoreError, as_store_errors, writing
-from bbq_torchrl.people.study.design import assignments
+from bbq_torchrl.people.study.latin_square import assignments
 from bbq_torchrl.people.study.plan import MAY_CHANGE, Terms
 from bbq_torchrl.people.study.records import (
     EXCHANGES,

@@ -16,7 +16,7 @@ from starlette.testclient import TestClient
 import bbq_torchrl
 from bbq_torchrl.people.study.__main__ import main
 from bbq_torchrl.people.study.database import reading
-from bbq_torchrl.people.study.keeping import backup, forget
+from bbq_torchrl.people.study.export import backup, forget
 from bbq_torchrl.people.study.plan import Terms
 from bbq_torchrl.people.study.records import current
 from bbq_torchrl.people.study.report import write_report

@@ -11,7 +11,7 @@ import pytest
 
 from bbq_torchrl.people.study.__main__ import main
 from bbq_torchrl.people.study.database import StoreError
-from bbq_torchrl.people.study.keeping import export
+from bbq_torchrl.people.study.export import export
 from bbq_torchrl.people.study.records import SCALES
 from bbq_torchrl.people.study.report import report_text
 from bbq_torchrl.people.study.results import read_results

@@ -11,7 +11,7 @@ import pytest
 
 from bbq_torchrl.people.study.__main__ import main
 from bbq_torchrl.people.study.database import StoreError, changing, reading
-from bbq_torchrl.people.study.keeping import backup, forget
+from bbq_torchrl.people.study.export import backup, forget
 from bbq_torchrl.people.study.records import current
 from bbq_torchrl.people.study.report import write_report
 from bbq_torchrl.people.study.results import read_results
@@ -112,7 +112,7 @@ def careless(monkeypatch):
             connection.execute("PRAGMA secure_delete = OFF")
             yield connection
 
-    monkeypatch.setattr("bbq_torchrl.people.study.keeping.changing", opened)
+    monkeypatch.setattr("bbq_torchrl.people.study.export.changing", opened)
 
 
 @pytest.mark.parametrize("by", ["number", "link", "whole link"])
