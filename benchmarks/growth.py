@@ -53,7 +53,6 @@ def rounds(size: int, run: Path) -> float:
     # The time of longer dialogues would depend on the learned policy.
     config = compose([*DQN, *small, "env.max_turn=2", f"protocol.rounds={size}"])
     trainer, _ = build_trainer(config, run)
-    trainer.progress = False
     return seconds(trainer.train)
 
 

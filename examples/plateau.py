@@ -26,7 +26,6 @@ from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import build_trainer
 from bbq_torchrl.trainers import rollouts
 from bbq_torchrl.trainers.collect import rows_per_replica
-from bbq_torchrl.trainers.learn import Update
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -83,18 +82,18 @@ def values_of_successes(trainer: RoundTrainer) -> list[float]:
 
 def curve(trainer: RoundTrainer, epochs: int) -> Iterator[tuple[int, list[float]]]:
     """Yields, at every freeze, the number of updates and the values at successes."""
-    update = Update(trainer.loss, trainer.optimizer)
-    trainer.loss.set_num_data(trainer.replay.num_data())
+    learner = trainer.learner
+    learner.loss.set_num_data(trainer.replay.num_data())
     for epoch in range(epochs):
         if epoch % EPOCHS_A_FREEZE == 0:
             if epoch:
-                yield update.sums.updates[0], values_of_successes(trainer)
-            trainer.target_updater.step()
-            trainer.replay.compute(("next", "next_state_value"), trainer.loss.next_state_values)
-        trainer.loss.begin_epoch()
-        for batch in trainer.replay.epoch(trainer.learner.batch_size):
-            update(batch)
-    yield update.sums.updates[0], values_of_successes(trainer)
+                yield learner.sums.updates[0], values_of_successes(trainer)
+            learner.target_updater.step()
+            trainer.replay.compute(("next", "next_state_value"), learner.loss.next_state_values)
+        learner.loss.begin_epoch()
+        for batch in trainer.replay.epoch(learner.batch_size):
+            learner.update(batch)
+    yield learner.sums.updates[0], values_of_successes(trainer)
 
 
 def main() -> None:

@@ -19,6 +19,7 @@ from __future__ import annotations
 import argparse
 import contextlib
 import csv
+import dataclasses
 import logging
 import sys
 import tempfile
@@ -29,7 +30,6 @@ import torch
 
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import build_trainer
-from bbq_torchrl.trainers.learn import Learner
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Sequence
@@ -67,8 +67,8 @@ def make_trainers(
 
     leader, follower = make("active", active), make("passive", passive)
     if passive_seed is not None:
-        fresh = make("weights", passive, f"seed={passive_seed}").loss
-        follower.loss.load_state_dict(fresh.state_dict())
+        fresh = make("weights", passive, f"seed={passive_seed}").learner.loss
+        follower.learner.loss.load_state_dict(fresh.state_dict())
     return leader, follower
 
 
@@ -84,23 +84,12 @@ def tandem(leader: RoundTrainer, follower: RoundTrainer) -> Iterator[list[Row]]:
     """
     if follower.evaluator is None:
         raise ValueError("protocol.eval_every must be positive: evaluations are the result")
-    leader.progress = False
-    learner = Learner(
-        follower.loss,
-        leader.replay,
-        follower.optimizer,
-        follower.target_updater,
-        leader.learner.seed_phase,
-        batch_size=leader.learner.batch_size,
-        freezes=leader.learner.freezes,
-        epochs=leader.learner.epochs,
-        lr_share=leader.learner.lr_share,
-    )
+    learner = dataclasses.replace(follower.learner, replay=leader.replay)
     leader.begin()
     while leader.rounds_done < leader.rounds:
         rows = leader.train_round()
         number = leader.rounds_done - 1
-        learner.learn(number)
+        learner.learn(number, leader.seed)
         success = [row["eval_success_rate"] for row in rows]
         watched = torch.as_tensor(follower.evaluator(number)["eval_success_rate"])
         if success[0] == success[0]:  # NaN in a round without an evaluation

@@ -18,7 +18,7 @@ from bbq_torchrl.evaluation.run_result import read_result, write_json
 from bbq_torchrl.options.task import replica_values
 from bbq_torchrl.runs import shipped
 from bbq_torchrl.runs.build import make_domain
-from bbq_torchrl.runs.resume import description, run_config, save_config
+from bbq_torchrl.runs.resume import config_fingerprint, run_config, save_config
 from bbq_torchrl.runs.train import make_agent
 from bbq_torchrl.trainers import CheckpointFolder
 from bbq_torchrl.utils.files import CHECKPOINTS, CONFIG, OVERRIDES, RESULT
@@ -45,7 +45,10 @@ def ship(run: Path, target: Path, replica: int = 0) -> None:
     whole = make_agent(config, config.env.make(domain, (config.replicas, 1)))
     own = replace(config, replicas=1, resume=None)
     single = make_agent(own, own.env.make(domain, (1, 1)))
-    if CheckpointFolder(run / CHECKPOINTS, loss=whole.loss).restore(description(config)) is None:
+    if (
+        CheckpointFolder(run / CHECKPOINTS, loss=whole.loss).restore(config_fingerprint(config))
+        is None
+    ):
         raise ValueError(f"{run} has no checkpoint")
     shapes = {name: value.shape for name, value in single.actor.state_dict().items()}
     state = {
@@ -59,7 +62,7 @@ def ship(run: Path, target: Path, replica: int = 0) -> None:
     shutil.copyfile(run / OVERRIDES, target / "overrides.yaml")
     write_json(result.only([replica]), target / RESULT)
     checkpoints = CheckpointFolder(target / CHECKPOINTS, actor=single.actor)
-    checkpoints.save(result.rounds, description(own))
+    checkpoints.save(result.rounds, config_fingerprint(own))
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import torch
 
 from bbq_torchrl.runs.build import make_domain, spike_policy
-from bbq_torchrl.runs.resume import description, result_of
+from bbq_torchrl.runs.resume import config_fingerprint, result_of
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import (
     CheckpointDamagedError,
@@ -74,7 +74,7 @@ def _check_resumable(folder: Path, config: Config) -> None:
     """Raises CheckpointDamagedError if a run has started but has no checkpoint to continue from."""
     if result_of(folder, config.protocol.rounds) is not None:
         return  # only the curve may be missing
-    found = CheckpointFolder(folder / CHECKPOINTS).check(description(config), "replay")
+    found = CheckpointFolder(folder / CHECKPOINTS).check(config_fingerprint(config), "replay")
     if not found and any((folder / name).exists() for name in (METRICS, RESULT)):
         raise CheckpointDamagedError.gone(folder)
 

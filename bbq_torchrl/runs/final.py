@@ -42,7 +42,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.options import Config
     from bbq_torchrl.runs.build import Checkout
     from bbq_torchrl.trainers import EpisodeStats, RoundTrainer
-    from bbq_torchrl.trainers.metrics import MetricRow
+    from bbq_torchrl.trainers.recording import MetricRow
 
 _LOG = logging.getLogger(__name__)
 

@@ -16,7 +16,7 @@ from bbq_torchrl.runs.build import make_domain
 from bbq_torchrl.runs.compose import compose_raw, session
 from bbq_torchrl.runs.job import begin
 from bbq_torchrl.runs.overrides import key_of, too_large, unreadable
-from bbq_torchrl.runs.resume import Resumption, description, run_config
+from bbq_torchrl.runs.resume import Resumption, config_fingerprint, run_config
 from bbq_torchrl.runs.shipped import is_shipped, run_folder
 from bbq_torchrl.runs.train import make_agent, run
 from bbq_torchrl.settings import ConfigError, check, one_of
@@ -130,7 +130,7 @@ def trained_policy(
     saved: dict[str, Any] = {"loss": agent.loss} if best is None else {"best": best}
     if is_shipped(folder):
         saved = {"actor": agent.actor}
-    found = CheckpointFolder(folder / CHECKPOINTS, **saved).restore(description(config))
+    found = CheckpointFolder(folder / CHECKPOINTS, **saved).restore(config_fingerprint(config))
     if found is None:
         raise ConfigError(f"{folder} has no checkpoint yet")
     enter_round(env, max(int(found[1]["round"]) - 1, 0))

@@ -70,7 +70,7 @@ _REMOVED_KEYS = ("cuda_graph",)
 """Keys of earlier versions without effect on results."""
 
 
-def description(config: Config) -> dict[str, Any]:
+def config_fingerprint(config: Config) -> dict[str, Any]:
     """Returns the settings that a checkpoint depends on, as JSON values by dotted key."""
     return {
         key: value

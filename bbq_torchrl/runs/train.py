@@ -123,8 +123,8 @@ def build_trainer(
     from bbq_torchrl.data import ReplicaReplay
     from bbq_torchrl.options.task import check_env
     from bbq_torchrl.runs import build
-    from bbq_torchrl.runs.resume import description
-    from bbq_torchrl.trainers import RoundTrainer, losses_of
+    from bbq_torchrl.runs.resume import config_fingerprint
+    from bbq_torchrl.trainers import Learner, RoundTrainer, losses_of
 
     protocol, spike = config.protocol, config.spike
     domain = build.make_domain(config) if domain is None else domain
@@ -141,31 +141,34 @@ def build_trainer(
         transform=agent.transform,
         device=config.device,
     )
-    trainer = RoundTrainer(
-        env,
-        agent.policy,
+    learner = Learner(
         agent.loss,
         replay,
         agent.optimizer,
         HardUpdate(losses_of(agent.loss)[0], value_network_update_interval=0),
-        run_folder,
-        rounds=protocol.rounds,
-        dialogues=protocol.dialogues,
         batch_size=protocol.batch_size,
         freezes=protocol.freezes,
         epochs=protocol.epochs,
         updates_per_round=protocol.updates_per_round,
+        lr_share=None if protocol.lr_final == 1 else protocol.lr_share,
+    )
+    trainer = RoundTrainer(
+        env,
+        agent.policy,
+        learner,
+        run_folder,
+        rounds=protocol.rounds,
+        dialogues=protocol.dialogues,
         checkpoint_every=protocol.checkpoint_every,
         keep_checkpoints=None if protocol.keep_checkpoints == "all" else 2,
-        lr_share=None if protocol.lr_final == 1 else protocol.lr_share,
         max_steps=config.env.steps(),
         seed=config.seed,
         spike=spike.make(config.env.make_policy(spiking, env)) if spiking else None,
-        loggers=loggers,
-        callbacks=callbacks,
         evaluator=build.round_evaluator(config, domain, agent.actor),
         round_metrics={**agent.metrics, **build.values_as_metrics(config)},
-        described=description(config),
+        loggers=loggers,
+        callbacks=callbacks,
+        config_fingerprint=config_fingerprint(config),
     )
     return trainer, agent
 

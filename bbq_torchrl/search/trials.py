@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.options import Config
     from bbq_torchrl.search.definition import Search, SearchConfig
     from bbq_torchrl.trainers import RoundTrainer
-    from bbq_torchrl.trainers.metrics import MetricRow
+    from bbq_torchrl.trainers.recording import MetricRow
 
 TRIALS = "trials.csv"
 BEST = "best.json"

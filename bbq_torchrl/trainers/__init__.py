@@ -22,9 +22,9 @@ from bbq_torchrl.trainers.errors import (
     SpikeError,
     TrainingError,
 )
-from bbq_torchrl.trainers.learn import keep_freed_memory, losses_of
-from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile, RoundProgress
+from bbq_torchrl.trainers.learn import Learner, keep_freed_memory, losses_of
 from bbq_torchrl.trainers.optimizer import ReplicaAdam
+from bbq_torchrl.trainers.recording import MetricRow, MetricsFile, RoundProgress
 from bbq_torchrl.trainers.round_trainer import RoundCallback, RoundTrainer
 from bbq_torchrl.utils.seeds import derive_seed
 
@@ -35,6 +35,7 @@ __all__ = [
     "CheckpointMismatchError",
     "EpisodeStats",
     "EvaluationHook",
+    "Learner",
     "MetricRow",
     "MetricsFile",
     "NonFiniteLossError",

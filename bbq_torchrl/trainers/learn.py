@@ -10,8 +10,16 @@ from typing import TYPE_CHECKING
 import torch
 from torch import Tensor, nn
 
-from bbq_torchrl.protocols import BeginsEpochs, FitsBuffers, FixedTargets, UsesNumData, provides
+from bbq_torchrl.protocols import (
+    BeginsEpochs,
+    FitsBuffers,
+    FixedTargets,
+    ReplicaOptimizer,
+    UsesNumData,
+    provides,
+)
 from bbq_torchrl.trainers.errors import TrainingError
+from bbq_torchrl.utils.seeds import derive_seed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
@@ -20,7 +28,6 @@ if TYPE_CHECKING:
     from torchrl.objectives.utils import TargetNetUpdater
 
     from bbq_torchrl.data import Batch, ReplicaReplay
-    from bbq_torchrl.protocols import ReplicaOptimizer
 
 
 _PENDING_UPDATES = 64  # added up at once
@@ -110,31 +117,112 @@ class LossSums:
 
 
 @dataclass(eq=False)
-class Update:
-    """An update of the replicas that are active in a batch: loss, gradient, step, sums.
-
-    It never waits for the device.
+class Learner:
+    """The learner of R replicas: freeze the target, some epochs, freeze again, some epochs.
 
     Args:
-        loss: a loss, or several in a ``ModuleDict``. Each returns a scalar ``loss``, whose sum is
-            differentiated; the first also returns ``loss_value`` [replicas]. Other entries of shape
-            [replicas] are averaged and reported.
+        loss: returns ``loss`` (scalar) and ``loss_value`` [replicas]. Further entries [replicas]
+            become metrics. Several losses are passed as an ``nn.ModuleDict``: the sum of their
+            ``loss`` is trained, and ``loss_value`` is the first one's.
+            :mod:`bbq_torchrl.protocols` lists optional methods of losses.
+        replay: the buffers.
         optimizer: the optimizer of the loss's parameters.
+        target_updater: ``.step()`` freezes the target.
+
+    Keyword Args:
+        batch_size: transitions per mini-batch and replica.
+        freezes: the number of target freezes in a round, each followed by learning.
+        epochs: the number of epochs over the buffer after each freeze.
+        updates_per_round: the number of updates in every round, spread over the freezes, instead of
+            ``epochs``, which give few updates while buffers are small. Defaults to None: use
+            ``epochs``.
+        lr_share: returns the share of the learning rate for a round, counted from 0. Defaults to
+            None: always 1.
 
     Attributes:
-        sums: the sums of the loss's outputs.
+        sums: the sums of the loss's outputs in this round.
+
+    Raises:
+        ValueError: if the optimizer does not update each replica separately.
     """
 
     loss: nn.Module
+    replay: ReplicaReplay
     optimizer: ReplicaOptimizer
+    target_updater: TargetNetUpdater
+    _: KW_ONLY
+    batch_size: int
+    freezes: int
+    epochs: int
+    updates_per_round: int | None = None
+    lr_share: Callable[[int], float] | None = None
     sums: LossSums = field(init=False)
 
     def __post_init__(self) -> None:
+        if not provides(self.optimizer, ReplicaOptimizer):
+            raise ValueError(
+                "the optimizer must update each replica separately, as ReplicaAdam does, got "
+                f"{type(self.optimizer).__name__}"
+            )
         self._losses = losses_of(self.loss)
         self.sums = LossSums(self.optimizer.replicas)
 
-    def __call__(self, batch: Batch) -> None:
-        """Performs one update."""
+    def learn(self, round_number: int, seed: int = 0) -> dict[str, list[float]]:
+        """Learns for a round and returns the means of the losses' metrics, by name.
+
+        Args:
+            round_number: the round, from 0.
+            seed: the run's seed. Defaults to 0.
+        """
+        self.sums = LossSums(self.replay.replicas)
+        if self.lr_share is not None:
+            self.optimizer.scale_lr(self.lr_share(round_number))
+        for loss in self._losses:
+            if provides(loss, UsesNumData):
+                loss.set_num_data(self.replay.num_data())
+        found: dict[str, list[float]] = {}
+        if not all(provides(loss, FitsBuffers) and loss.only_fits for loss in self._losses):
+            self.update_all(round_number, seed)
+            found |= self.sums.means()
+        for part in self._losses:
+            if provides(part, FitsBuffers):
+                seed_phase(seed, self.replay, "fit", round_number)
+                (batch,) = self.replay.epoch(max(self.replay.lengths))
+                fitted = LossSums(self.replay.replicas)
+                fitted.add(part.fit(batch.transitions), batch)
+                found |= fitted.means()
+        return {"loss" if name == "loss_value" else name: means for name, means in found.items()}
+
+    def update_all(self, round_number: int, seed: int = 0) -> None:
+        """Freezes and learns, without waiting for the device; the arguments are those of learn."""
+        for freeze in range(self.freezes):
+            self.target_updater.step()
+            self.compute_targets()
+            for batches in self._batches(round_number, freeze, seed):
+                for loss in self._losses:
+                    if provides(loss, BeginsEpochs):
+                        loss.begin_epoch()
+                for batch in batches:
+                    self.update(batch)
+
+    def _batches(self, round_number: int, freeze: int, seed: int) -> Iterator[list[Batch]]:
+        """Yields the batches after one freeze, some at a time."""
+        if self.updates_per_round is None:
+            for epoch in range(self.epochs):
+                # Each epoch has a seed, so that its draws do not depend on the length of earlier
+                # epochs, which is that of the longest replica.
+                seed_phase(seed, self.replay, "learn", round_number, freeze, epoch)
+                yield self.replay.epoch(self.batch_size)
+        else:
+            share, rest = divmod(self.updates_per_round, self.freezes)
+            seed_phase(seed, self.replay, "learn", round_number, freeze, 0)
+            yield from self.replay.batches(self.batch_size, share + (freeze < rest))
+
+    def update(self, batch: Batch) -> None:
+        """Updates the replicas that are active in a batch: loss, gradient, step, sums.
+
+        It never waits for the device.
+        """
         first, *others = self._losses
         out: TensorDictBase = first(batch.transitions)
         for loss in others:
@@ -146,109 +234,24 @@ class Update:
         self.optimizer.step(None if all(batch.active) else batch.active)
         self.sums.add(out, batch)
 
-
-@dataclass(eq=False)
-class Learner:
-    """The learner of R replicas: freeze the target, some epochs, freeze again, some epochs.
-
-    Args:
-        loss: a loss, or several in a ``ModuleDict``, see
-            :class:`~bbq_torchrl.trainers.RoundTrainer`; :mod:`bbq_torchrl.protocols` lists their
-            optional methods.
-        replay: the buffers.
-        optimizer: the optimizer of the loss's parameters.
-        target_updater: ``.step()`` freezes the target.
-        seed_phase: seeds all random numbers of a phase, given by a name and numbers; called before
-            each epoch.
-
-    Keyword Args:
-        batch_size: transitions per mini-batch and replica.
-        freezes: the number of target freezes in a round, each followed by learning.
-        epochs: the number of epochs over the buffer after each freeze.
-        updates_per_round: the number of updates in every round, spread over the freezes, instead of
-            ``epochs``, which give few updates while buffers are small. Defaults to None: use
-            ``epochs``.
-        lr_share: returns the share of the learning rate for a round, counted from 0. Defaults to
-            None: always 1.
-    """
-
-    loss: nn.Module
-    replay: ReplicaReplay
-    optimizer: ReplicaOptimizer
-    target_updater: TargetNetUpdater
-    seed_phase: Callable[..., None]
-    _: KW_ONLY
-    batch_size: int
-    freezes: int
-    epochs: int
-    updates_per_round: int | None = None
-    lr_share: Callable[[int], float] | None = None
-
-    def __post_init__(self) -> None:
-        self._losses = losses_of(self.loss)
-        self._update = Update(self.loss, self.optimizer)
-
-    @property
-    def updates(self) -> list[int]:
-        """The number of updates of each replica in the round."""
-        return self._update.sums.updates
-
-    def learn(self, round_number: int) -> dict[str, list[float]]:
-        """Learns for a round and returns the means of the losses' metrics, by name."""
-        self._update.sums = LossSums(self.replay.replicas)
-        if self.lr_share is not None:
-            self.optimizer.scale_lr(self.lr_share(round_number))
-        for loss in self._losses:
-            if provides(loss, UsesNumData):
-                loss.set_num_data(self.replay.num_data())
-        found: dict[str, list[float]] = {}
-        if not all(provides(loss, FitsBuffers) and loss.only_fits for loss in self._losses):
-            self.update_all(round_number)
-            found |= self._update.sums.means()
-        for part in self._losses:
-            if provides(part, FitsBuffers):
-                found |= self._fit(part, round_number)
-        return {"loss" if name == "loss_value" else name: means for name, means in found.items()}
-
-    def _fit(self, loss: FitsBuffers, round_number: int) -> dict[str, list[float]]:
-        """Fits a loss to the buffers and returns its metrics by name."""
-        self.seed_phase("fit", round_number)
-        (batch,) = self.replay.epoch(max(self.replay.lengths))
-        sums = LossSums(self.replay.replicas)
-        sums.add(loss.fit(batch.transitions), batch)
-        return sums.means()
-
-    def update_all(self, round_number: int) -> None:
-        """Freezes and learns, without waiting for the device."""
-        for freeze in range(self.freezes):
-            self.target_updater.step()
-            self.compute_targets()
-            for batches in self._batches(round_number, freeze):
-                for loss in self._losses:
-                    if provides(loss, BeginsEpochs):
-                        loss.begin_epoch()
-                for batch in batches:
-                    self._update(batch)
-
-    def _batches(self, round_number: int, freeze: int) -> Iterator[list[Batch]]:
-        """Yields the batches after one freeze, some at a time."""
-        if self.updates_per_round is None:
-            for epoch in range(self.epochs):
-                # Each epoch has a seed, so that its draws do not depend on the length of earlier
-                # epochs, which is that of the longest replica.
-                self.seed_phase("learn", round_number, freeze, epoch)
-                yield self.replay.epoch(self.batch_size)
-        else:
-            share, rest = divmod(self.updates_per_round, self.freezes)
-            self.seed_phase("learn", round_number, freeze, 0)
-            yield from self.replay.batches(self.batch_size, share + (freeze < rest))
-
     def compute_targets(self) -> None:
         """Computes the frozen network's values for the whole buffer if a loss allows it."""
         for loss in self._losses:
             if provides(loss, FixedTargets) and loss.has_fixed_targets:
                 key = ("next", loss.tensor_keys.next_state_value)
                 self.replay.compute(key, loss.next_state_values)
+
+
+def seed_phase(seed: int, replay: ReplicaReplay, *path: str | int) -> None:
+    """Seeds torch and the replay's shuffling for a phase of a round.
+
+    Args:
+        seed: the run's seed.
+        replay: the buffers.
+        *path: the phase, such as ``("collect", 3)``.
+    """
+    torch.manual_seed(derive_seed(seed, "torch", *path))
+    replay.seed([derive_seed(seed, "replay", r, *path) for r in range(replay.replicas)])
 
 
 # From malloc.h.

@@ -15,14 +15,11 @@ from torch import Tensor, nn
 
 from bbq_torchrl.protocols import (
     Annealed,
-    ReplicaOptimizer,
     Resampled,
     SeesSuccess,
     enter_round,
     modules_with,
-    provides,
 )
-from bbq_torchrl.settings import at_least, check
 from bbq_torchrl.trainers.checkpoint import CheckpointFolder
 from bbq_torchrl.trainers.collect import collect_dialogues
 from bbq_torchrl.trainers.errors import (
@@ -31,8 +28,8 @@ from bbq_torchrl.trainers.errors import (
     RunFolderGoneError,
     TrainingError,
 )
-from bbq_torchrl.trainers.learn import Learner
-from bbq_torchrl.trainers.metrics import MetricRow, MetricsFile, RoundProgress
+from bbq_torchrl.trainers.learn import Learner, seed_phase
+from bbq_torchrl.trainers.recording import MetricRow, MetricsFile, RoundProgress
 from bbq_torchrl.utils.files import CHECKPOINTS, METRICS
 from bbq_torchrl.utils.seeds import derive_seed
 
@@ -40,7 +37,6 @@ if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from torchrl.envs import EnvBase
-    from torchrl.objectives.utils import TargetNetUpdater
     from torchrl.record.loggers import Logger
 
     from bbq_torchrl.data import ReplicaReplay
@@ -68,72 +64,50 @@ class RoundTrainer:
         env: an environment of batch size [replicas, parallel] that writes ``("next", "success")``
             in addition to the usual keys.
         policy: the exploring policy on the environment's TensorDict.
-        loss: returns ``loss`` (scalar) and ``loss_value`` [replicas]. Further entries [replicas]
-            become metrics. Several losses are passed as an ``nn.ModuleDict``: the sum of their
-            ``loss`` is trained, and ``loss_value`` is the first one's.
-        replay: the buffers, empty.
-        optimizer: the optimizer of the loss's parameters.
-        target_updater: ``.step()`` freezes the target.
+        learner: loss, replay (empty) and optimizer; what happens after the dialogues of a round.
         run_folder: the folder of ``metrics.csv`` and ``checkpoint/``.
 
     Keyword Args:
         rounds: the number of rounds.
         dialogues: the number of dialogues of each replica in a round. If the environment plays
             fewer in parallel, several rollouts follow each other.
-        batch_size: transitions per mini-batch and replica.
-        freezes: the number of target freezes in a round, each followed by learning.
-        epochs: the number of epochs over the buffer after each freeze.
-        updates_per_round: the number of updates in every round, instead of ``epochs``. Defaults to
-            None: use ``epochs``.
-        checkpoint_every: rounds between two checkpoints.
-        keep_checkpoints: the number of newest checkpoints to keep; None for all.
-        lr_share: returns the share of the learning rate for a round, counted from 0. Defaults to
-            None: always 1.
+        checkpoint_every: rounds between two checkpoints. Defaults to 10.
+        keep_checkpoints: the number of newest checkpoints to keep; None for all. Defaults to 2.
         max_steps: the maximum number of agent turns in a dialogue; a longer one is an error.
             Defaults to 1000.
         seed: the seed that all random numbers derive from. Defaults to 0.
         spike: fills the buffers before the first round.
-        loggers: TorchRL loggers, which get the rows of ``metrics.csv``.
-        callbacks: functions called after every round.
         evaluator: evaluates the policy at the end of each round. Other metrics and the weights are
             bitwise the same as without it.
         round_metrics: functions read at the start of each round, such as an exploration rate; each
             returns one number or a tensor [replicas]. A name that another column has is an error at
             the end of the first round.
-        described: a description of the training as JSON values by name, saved in every checkpoint.
-            Checkpoints with another description are rejected.
-        progress: whether a progress bar is shown. Defaults to None: on a terminal.
+        loggers: TorchRL loggers, which get the rows of ``metrics.csv``.
+        callbacks: functions called after every round.
+        config_fingerprint: the settings that the training depends on, as JSON values by name, saved
+            in every checkpoint. Checkpoints with others are rejected.
 
     Raises:
-        ValueError: if the objects do not fit each other, or a number is too small.
+        ValueError: if the environment does not have the replay's replicas.
     """
 
     env: EnvBase
     policy: nn.Module
-    loss: nn.Module
-    replay: ReplicaReplay
-    optimizer: ReplicaOptimizer
-    target_updater: TargetNetUpdater
+    learner: Learner
     run_folder: Path
     _: KW_ONLY
     rounds: int
     dialogues: int
-    batch_size: int
-    freezes: int
-    epochs: int
-    checkpoint_every: int
-    keep_checkpoints: int | None
-    updates_per_round: int | None = None
-    lr_share: Callable[[int], float] | None = None
+    checkpoint_every: int = 10
+    keep_checkpoints: int | None = 2
     max_steps: int = 1000
     seed: int = 0
     spike: Spike | None = None
-    loggers: Sequence[Logger] = ()
-    callbacks: Sequence[RoundCallback] = ()
     evaluator: EvaluationHook | None = None
     round_metrics: Mapping[str, Callable[[], float | Tensor]] = field(default_factory=dict)
-    described: Mapping[str, Any] = field(default_factory=dict)
-    progress: bool | None = None
+    loggers: Sequence[Logger] = ()
+    callbacks: Sequence[RoundCallback] = ()
+    config_fingerprint: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         replicas = self.replicas
@@ -142,57 +116,31 @@ class RoundTrainer:
                 f"the environment's batch size must be [{replicas}, parallel] for {replicas} "
                 f"replicas, got {list(self.env.batch_size)}"
             )
-        if not provides(self.optimizer, ReplicaOptimizer):
-            raise ValueError(
-                "the optimizer must update each replica separately, as ReplicaAdam does, got "
-                f"{type(self.optimizer).__name__}"
-            )
-        for name in (
-            "rounds",
-            "dialogues",
-            "batch_size",
-            "freezes",
-            "epochs",
-            "updates_per_round",
-            "checkpoint_every",
-            "keep_checkpoints",
-            "max_steps",
-        ):
-            if (count := getattr(self, name)) is not None:
-                check(name, count, at_least(1))
-        if self.updates_per_round is not None and self.updates_per_round < self.freezes:
-            raise ValueError(
-                f"updates_per_round must be at least freezes ({self.freezes}), got "
-                f"{self.updates_per_round}"
-            )
         self.run_folder = Path(self.run_folder)  # it may be a string
-        self.described = {"seed": self.seed, "replicas": replicas, **self.described}
+        self.config_fingerprint = {
+            "seed": self.seed,
+            "replicas": replicas,
+            **self.config_fingerprint,
+        }
         self.rounds_done = self.rounds_saved = 0
         self._stops = False
-        self.learner = Learner(
-            self.loss,
-            self.replay,
-            self.optimizer,
-            self.target_updater,
-            self._seed_phase,
-            batch_size=self.batch_size,
-            freezes=self.freezes,
-            epochs=self.epochs,
-            updates_per_round=self.updates_per_round,
-            lr_share=self.lr_share,
-        )
         self.metrics = MetricsFile(self.run_folder / METRICS, replicas, self.loggers)
         best: dict[str, Any] = {} if self.evaluator is None else {"best": self.evaluator.best}
         self.checkpoints = CheckpointFolder(
             self.run_folder / CHECKPOINTS,
             keep=self.keep_checkpoints,
-            loss=self.loss,
+            loss=self.learner.loss,
             policy=self.policy,
-            optimizer=self.optimizer,
+            optimizer=self.learner.optimizer,
             replay=self.replay,
             metrics=self.metrics,
             **best,
         )
+
+    @property
+    def replay(self) -> ReplicaReplay:
+        """The buffers."""
+        return self.learner.replay
 
     @property
     def replicas(self) -> int:
@@ -214,12 +162,7 @@ class RoundTrainer:
             RunFolderGoneError: if the run folder is moved or removed during training.
         """
         self.begin(resume=resume)
-        bar = RoundProgress(
-            self.rounds,
-            done=self.rounds_done,
-            visible=self.progress,
-            name=self.run_folder.name,
-        )
+        bar = RoundProgress(self.rounds, done=self.rounds_done, name=self.run_folder.name)
         with closing(bar):
             while self.rounds_done < self.rounds and not self._stops:
                 bar.update(self.train_round())
@@ -239,7 +182,7 @@ class RoundTrainer:
         """
         self.checkpoints.remove_leftovers()
         if resume:
-            found = self.checkpoints.restore(self.described)
+            found = self.checkpoints.restore(self.config_fingerprint)
             if found is not None:
                 self.rounds_done = self.rounds_saved = int(found[1]["round"])
                 return
@@ -302,13 +245,9 @@ class RoundTrainer:
             "seconds_learn": learned_at - collected_at,
             **({} if self.evaluator is None else {"seconds_eval": ended - learned_at}),
         }
+        counted = {"buffer": self.replay.lengths, "updates": self.learner.sums.updates}
         return _merged(
-            ("the trainer", {"dialogues": self.dialogues, **collected}),
-            ("the evaluator", evaluated),
-            ("the loss", learned),
-            ("the trainer", {"buffer": self.replay.lengths, "updates": self.learner.updates}),
-            ("the policy", metrics),
-            ("the trainer", seconds),
+            {"dialogues": self.dialogues}, collected, evaluated, learned, counted, metrics, seconds
         )
 
     def _collect(self, round_number: int) -> dict[str, Tensor]:
@@ -325,7 +264,7 @@ class RoundTrainer:
 
     def _learn(self, round_number: int) -> dict[str, list[float]]:
         """Learns and returns the means of the loss's metrics, for each replica."""
-        means = self.learner.learn(round_number)
+        means = self.learner.learn(round_number, self.seed)
         broken = [r for r, loss in enumerate(means["loss"]) if not math.isfinite(loss)]
         if broken:
             saved = self._save(name=f"failed-round-{round_number:06d}")
@@ -338,20 +277,14 @@ class RoundTrainer:
 
     def _begin_phase(self, name: str, round_number: int) -> None:
         """Seeds a phase of dialogues and puts the environment into the round."""
-        self._seed_phase(name, round_number)
+        seed_phase(self.seed, self.replay, name, round_number)
+        self.env.set_seed(derive_seed(self.seed, "env", name, round_number))
         enter_round(self.env, round_number)
-
-    def _seed_phase(self, *path: str | int) -> None:
-        """Seeds every source of random numbers for a phase."""
-        seed = self.seed
-        torch.manual_seed(derive_seed(seed, "torch", *path))
-        self.env.set_seed(derive_seed(seed, "env", *path))
-        self.replay.seed([derive_seed(seed, "replay", r, *path) for r in range(self.replicas)])
 
     def _save(self, *, name: str | None = None) -> Path:
         if self.rounds_done or name is not None:  # the first checkpoint creates the folder
             RunFolderGoneError.check(self.run_folder)
-        saved = self.checkpoints.save(self.rounds_done, self.described, name=name)
+        saved = self.checkpoints.save(self.rounds_done, self.config_fingerprint, name=name)
         if name is None:
             self.rounds_saved = self.rounds_done
         return saved
@@ -362,22 +295,20 @@ RoundCallback = Callable[[RoundTrainer, "Sequence[MetricRow]"], None]
 
 
 def _merged(
-    *parts: tuple[str, Mapping[str, float | Tensor | Sequence[float]]],
+    *parts: Mapping[str, float | Tensor | Sequence[float]],
 ) -> dict[str, float | Tensor | Sequence[float]]:
-    """Merges the columns of all owners.
+    """Merges columns of several owners.
 
     Raises:
         TrainingError: if two owners have a column of the same name.
     """
-    owners = dict.fromkeys(("round", "replica"), "the trainer")
     columns: dict[str, float | Tensor | Sequence[float]] = {}
-    for owner, part in parts:
-        for name in part:
-            if name in owners:
+    for part in parts:
+        for name, column in part.items():
+            if name in columns or name in ("round", "replica"):
                 raise TrainingError(
-                    f"{name!r} is a metric of {owners[name]} and of {owner}: one of the two needs "
-                    "another name"
+                    f"{name!r} is the name of two metrics: that of the loss, policy or evaluator "
+                    "needs another name"
                 )
-            owners[name] = owner
-        columns.update(part)
+            columns[name] = column
     return columns

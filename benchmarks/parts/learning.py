@@ -41,7 +41,6 @@ def full_trainer(
     """Returns a trainer, ready to train, with buffers full of a random policy's dialogues."""
     chosen = [*overrides, f"replicas={replicas}", f"protocol.capacity={capacity}", "spike=none"]
     trainer, _ = build_trainer(compose(chosen), folder)
-    trainer.progress = False
     random = scripted_policy("random", trainer.env)
     while min(trainer.replay.lengths) < capacity:
         trainer.replay.extend(rows_per_replica(rollout(trainer.env, random), trainer.replay.keys))

@@ -16,7 +16,6 @@ from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.envs import DialogueEnv
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import build_trainer
-from bbq_torchrl.trainers.learn import Update
 from benchmarks.parts import processes
 from benchmarks.parts.host_draws import DrawsOnTheHost
 from benchmarks.parts.host_waits import drawn_as_on_a_device
@@ -94,7 +93,6 @@ def same_training(device: str, sizes: DeviceSizes) -> Iterator[Row]:
 def _trained(device: str, sizes: DeviceSizes) -> list[dict[str, float]]:
     with tempfile.TemporaryDirectory() as folder:
         trainer, _ = build_trainer(compose([*sizes.compared, f"device={device}"]), Path(folder))
-        trainer.progress = False
         # A checkpoint maps files into memory, which a dispatch mode cannot follow.
         with DrawsOnTheHost(), patch.object(trainer.checkpoints, "save"):
             trainer.begin()
@@ -105,7 +103,6 @@ def host_waits(device: str, sizes: DeviceSizes) -> Iterator[Row]:
     """Counts how often the host waits for the device, by torch's check."""
     with tempfile.TemporaryDirectory() as folder:
         trainer, _ = build_trainer(compose([*sizes.compared, f"device={device}"]), Path(folder))
-        trainer.progress = False
         trainer.begin()
         trainer.train_round()
         env = trainer.env
@@ -168,17 +165,16 @@ def updates(device: str, sizes: DeviceSizes) -> Iterator[Row]:
 def _update(trainer: RoundTrainer, *, compiles: bool) -> Callable[[], object]:
     """Returns an update on a fixed batch: loss, gradient, step."""
     trainer.learner.learn(0)  # sets the loss's number of data, and computes targets
-    batch = trainer.replay.epoch(trainer.batch_size)[0]
+    batch = trainer.replay.epoch(trainer.learner.batch_size)[0]
     if not compiles:
-        update = Update(trainer.loss, trainer.optimizer)
-        return lambda: update(batch)
-    loss = torch.compile(lambda rows: trainer.loss(rows)["loss"], fullgraph=True)
+        return lambda: trainer.learner.update(batch)
+    loss = torch.compile(lambda rows: trainer.learner.loss(rows)["loss"], fullgraph=True)
 
     def compiled() -> None:
         value = loss(batch.transitions)
-        trainer.optimizer.zero_grad()
+        trainer.learner.optimizer.zero_grad()
         value.backward()
-        trainer.optimizer.step(None)
+        trainer.learner.optimizer.step(None)
 
     return compiled
 

@@ -8,7 +8,7 @@ from statistics import median
 from time import perf_counter
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.trainers.learn import LossSums, Update
+from bbq_torchrl.trainers.learn import LossSums
 from benchmarks.parts import processes
 from benchmarks.parts.learning import full_trainer
 from benchmarks.parts.rows import Row
@@ -33,7 +33,7 @@ def watched_round(trainer: RoundTrainer) -> tuple[float, float]:
     with (
         stopwatch(trainer.env, "rollout") as played,
         stopwatch(trainer.learner, "compute_targets") as computed,
-        stopwatch(Update, "__call__") as updated,
+        stopwatch(trainer.learner, "update") as updated,
         stopwatch(LossSums, "add") as sums,
     ):
         total = seconds(trainer.train_round)

@@ -9,7 +9,7 @@ import pytest
 import torch
 from planted import rewritten
 
-from bbq_torchrl.runs.resume import description, load_config
+from bbq_torchrl.runs.resume import config_fingerprint, load_config
 from bbq_torchrl.runs.train import build_trainer
 from bbq_torchrl.trainers import CheckpointDamagedError, CheckpointMismatchError
 
@@ -106,7 +106,7 @@ def run(references):
 def trainer(run, tmp_path_factory):
     config = load_config(run / "config.yaml")
     built, _ = build_trainer(config, tmp_path_factory.mktemp("trainer"))
-    return built, description(config)
+    return built, config_fingerprint(config)
 
 
 def restored(trainer, folder):

@@ -29,7 +29,6 @@ def test_the_same_replica_of_two_agents_sees_the_same_dialogues(tmp_path, other)
     spiked, goals = [], []
     for overrides in (["agent=bbqn"], other.split()):
         trainer, _ = build_trainer(compose([*overrides, *small]), tmp_path / overrides[-1])
-        trainer.progress = False
         trainer.begin()
         spiked.append(
             [buffer[:].select("observation", "action") for buffer in trainer.replay.buffers]

@@ -66,7 +66,7 @@ def test_training_is_bitwise_the_same_with_and_without(small, tmp_path, agent):
         config = small(*AGENTS[agent], f"protocol.eval_every={every}")
         trainer, _ = build_trainer(config, tmp_path / str(every))
         trainer.train()
-        learned.append(trainer.loss.state_dict())
+        learned.append(trainer.learner.loss.state_dict())
         metrics.append(trainer.metrics.rows)
     assert_close(*learned, rtol=0, atol=0)
     assert len(metrics[0]) == 6

@@ -117,7 +117,7 @@ def test_a_resumed_run_ends_bitwise_as_one_that_was_not_interrupted(name, finish
         trainer, _ = build_trainer(dataclasses.replace(config, resume=str(folder)), folder)
         trainer.begin(resume=True)
         assert trainer.rounds_done == 2
-        return trainer.loss.state_dict()
+        return trainer.learner.loss.state_dict()
 
     whole, parts = state(finished[name]), state(tmp_path)
     assert all(torch.equal(whole[key], parts[key]) for key in whole)

@@ -111,7 +111,7 @@ def test_langevin_noise_is_for_the_agent_and_not_for_the_model_of_an_intrinsic_r
     trainer, agent = build_trainer(
         compose(["agent=langevin", *SHRUNKEN, "intrinsic=vime"]), tmp_path
     )
-    optimizer = trainer.optimizer
+    optimizer = trainer.learner.optimizer
     pairs = zip(optimizer.parameters, optimizer.is_noisy, strict=True)
     noisy = {id(parameter) for parameter, is_noisy in pairs if is_noisy}
     assert noisy == {id(parameter) for parameter in agent.actor.parameters()}

@@ -33,7 +33,9 @@ def example(names_of):
 
 def same_weights(trainer, weights):
     """Whether a trainer's loss has these weights."""
-    return all(torch.equal(value, weights[key]) for key, value in trainer.loss.state_dict().items())
+    return all(
+        torch.equal(value, weights[key]) for key, value in trainer.learner.loss.state_dict().items()
+    )
 
 
 def test_the_active_agents_rounds_are_those_of_an_ordinary_run(example, tmp_path):
@@ -52,20 +54,20 @@ def test_the_active_agents_rounds_are_those_of_an_ordinary_run(example, tmp_path
 
 def test_an_agent_in_tandem_with_itself_learns_what_the_active_one_does(example, tmp_path):
     active, passive = example["make_trainers"]("dqn", "dqn", TINY, tmp_path)
-    begun = copy.deepcopy(active.loss.state_dict())
+    begun = copy.deepcopy(active.learner.loss.state_dict())
     for played in example["tandem"](active, passive):
         rates = {
             role: [row[3] for row in played if row[0] == role] for role in ("active", "passive")
         }
         assert rates["active"] == rates["passive"]
-    assert same_weights(active, passive.loss.state_dict())
+    assert same_weights(active, passive.learner.loss.state_dict())
     assert not same_weights(active, begun)
 
 
 def test_a_passive_agent_begins_with_the_weights_of_its_seed(example, tmp_path):
     active, passive = example["make_trainers"]("dqn", "dqn", TINY, tmp_path, 7)
     config = compose([f"+experiment=[agents/dqn,{example['PROTOCOL']}]", *TINY, "seed=7"])
-    own = build_trainer(config, tmp_path / "own")[0].loss.state_dict()
+    own = build_trainer(config, tmp_path / "own")[0].learner.loss.state_dict()
     assert same_weights(passive, own)
     assert not same_weights(active, own)
 

@@ -68,7 +68,7 @@ def trained(config, folder):
     learned = {}
 
     def keep(trainer, rows):
-        state = trainer.loss.state_dict().values()
+        state = trainer.learner.loss.state_dict().values()
         learned[trainer.rounds_done] = [tensor.clone() for tensor in state]
 
     return run(config, folder, [keep]), learned
@@ -111,7 +111,7 @@ def test_an_intrinsic_reward_is_learned_from_and_never_reported(composed, tmp_pa
 def test_the_dynamics_of_what_does_not_exist_yet_stay_at_the_prior(composed, tmp_path):
     vime = ("agent=dqn", "intrinsic=vime", "intrinsic.prior_std=0.2")
     trainer, _ = build_trainer(composed(*vime, "env=domain_ext", "protocol.rounds=1"), tmp_path)
-    env, network = trainer.env, trainer.loss.dynamics_loss.dynamics.network
+    env, network = trainer.env, trainer.learner.loss.dynamics_loss.dynamics.network
     actions = env.simulator.action_mask(env.active_slots)
     inactive = ~torch.cat([env.active_features, actions])
     assert inactive.any()

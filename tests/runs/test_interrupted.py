@@ -65,7 +65,7 @@ def test_a_run_whose_folder_is_moved_ends_at_once_and_goes_on_in_its_new_place(t
         played.append(trainer.rounds_done)
         if trainer.rounds_done == done:
             if done == 6:  # so that what follows is the final evaluation
-                trainer.checkpoints.save(6, trainer.described)
+                trainer.checkpoints.save(6, trainer.config_fingerprint)
                 trainer.rounds_saved = 6
                 trainer.checkpoint_every = 100
             old.rename(new)

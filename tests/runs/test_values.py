@@ -71,7 +71,7 @@ def trained(config, folder):
     plain = [
         {k: v for k, v in row.items() if not k.startswith("seconds")} for row in trainer.train()
     ]
-    return [parameter.detach().clone() for parameter in trainer.optimizer.parameters], plain
+    return [parameter.detach().clone() for parameter in trainer.learner.optimizer.parameters], plain
 
 
 @pytest.mark.parametrize("case", CASES)

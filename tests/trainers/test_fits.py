@@ -34,7 +34,7 @@ def test_a_round_ends_with_a_fit_to_all_transitions(only_fits, tmp_path, monkeyp
     trainer = trainer_parts.make_trainer(tmp_path, replicas=2, rounds=1)
     rows = trainer.train()
 
-    *batches, stored = trainer.loss.calls
+    *batches, stored = trainer.learner.loss.calls
     assert ("batch" in batches) is not only_fits
     assert stored["valid"].sum(-1).tolist() == list(trainer.replay.lengths)
     for replica, buffer in enumerate(trainer.replay.buffers):

@@ -134,7 +134,7 @@ def test_a_loss_without_replicas_is_refused_with_where_to_look(reported, got):
 
 
 def weights(trainer: RoundTrainer) -> Tensor:
-    (weight,) = trainer.optimizer.parameters
+    (weight,) = trainer.learner.optimizer.parameters
     return weight.detach()
 
 
@@ -188,7 +188,7 @@ def test_where_one_breaks_the_others_finish_the_round_and_the_state_is_saved(tmp
     assert torch.equal(weights(plain)[1:], weights(broken)[1:])
     assert len(broken.metrics.rows) == 3
     other.checkpoints.load(tmp_path / "broken" / "checkpoint" / "failed-round-000001.torchrl")
-    states = (trainer.loss.state_dict() for trainer in (other, broken))
+    states = (trainer.learner.loss.state_dict() for trainer in (other, broken))
     torch.testing.assert_close(*states, rtol=0, atol=0, equal_nan=True)
 
 

@@ -7,6 +7,7 @@ import os
 import signal
 import zipfile
 from itertools import count
+from operator import attrgetter
 from typing import TYPE_CHECKING
 
 import forked
@@ -84,8 +85,8 @@ def assert_same_training(folder: Path, reference: RoundTrainer) -> None:
     ours.train(resume=True)
     assert ours.rounds_done == reference.rounds_done == 10
     assert rows(folder / "metrics.csv") == rows(reference.run_folder / "metrics.csv")
-    for part in ("loss", "policy", "optimizer", "replay"):
-        states = (getattr(trainer, part).state_dict() for trainer in (ours, reference))
+    for part in ("learner.loss", "policy", "learner.optimizer", "replay"):
+        states = (attrgetter(part)(trainer).state_dict() for trainer in (ours, reference))
         torch.testing.assert_close(*states, rtol=0, atol=0)
 
 

@@ -1,4 +1,4 @@
-"""Several losses trained together: the sum of their losses, and the state of 0.1's VIMELoss."""
+"""Several losses trained together: the sum of their losses."""
 
 from __future__ import annotations
 
@@ -6,12 +6,11 @@ from types import SimpleNamespace
 
 import pytest
 import torch
-from dynamics_losses import dynamics_loss, result
+from dynamics_losses import dynamics_loss
 from q_transitions import bayes_loss, plain_loss, transitions
 from torch import nn
 
-from bbq_torchrl.trainers import losses_of
-from bbq_torchrl.trainers.learn import Update
+from bbq_torchrl.trainers import Learner, losses_of
 from bbq_torchrl.vime import vime_losses
 
 
@@ -24,6 +23,15 @@ class Still:
         pass
 
     def step(self, active=None):
+        pass
+
+    def scale_lr(self, share):
+        pass
+
+    def state_dict(self):
+        pass
+
+    def load_state_dict(self, state_dict):
         pass
 
 
@@ -47,30 +55,15 @@ def test_an_update_has_the_gradients_and_the_metrics_of_each_loss(q):
     for gradient in gradients(q_loss, dynamics):
         gradient.zero_()
     torch.manual_seed(0)
-    update = Update(vime_losses(q_loss, dynamics), Still())
-    update(learned)
+    losses = vime_losses(q_loss, dynamics)
+    learner = Learner(losses, None, Still(), None, batch_size=2, freezes=1, epochs=1)
+    learner.update(learned)
 
     torch.testing.assert_close(gradients(q_loss, dynamics), expected)
-    assert update.sums.means().keys() == names
+    assert learner.sums.means().keys() == names
 
 
 def test_losses_are_those_of_a_module_dict_or_the_one_given():
     q_loss, dynamics = nn.Linear(1, 1), nn.Linear(1, 1)
     assert losses_of(q_loss) == [q_loss]
     assert losses_of(nn.ModuleDict({"first": q_loss, "second": dynamics})) == [q_loss, dynamics]
-
-
-def test_a_state_of_the_loss_that_was_both_is_read():
-    losses, other = (vime_losses(plain_loss((2,))[0], dynamics_loss((2,), every=3)) for _ in "ab")
-    for _ in range(2):
-        result(losses["dynamics_loss"], transitions((2,)))
-    state = dict(losses.state_dict())
-    state["held"] = state.pop("dynamics_loss.reported")
-    state["_extra_state"] = state.pop("dynamics_loss._extra_state")
-
-    other.load_state_dict(state)
-
-    assert other["dynamics_loss"].batches == 2
-    assert torch.equal(other["dynamics_loss"].reported, losses["dynamics_loss"].reported)
-    for name, value in losses.state_dict().items():
-        assert torch.equal(other.state_dict()[name], value)

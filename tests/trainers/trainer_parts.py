@@ -16,7 +16,7 @@ from torchrl.objectives import HardUpdate
 from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.networks import q_actor
 from bbq_torchrl.objectives import DropoutDQNLoss
-from bbq_torchrl.trainers import ReplicaAdam, RoundTrainer, Spike
+from bbq_torchrl.trainers import Learner, ReplicaAdam, RoundTrainer, Spike
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -131,17 +131,23 @@ def make_trainer(
     actor = q_actor(ReplicaLinearQ(replicas), spec)
     explore = CountingEGreedy(spec, 0.8, 0.0, annealing_num_steps=4, action_mask_key="action_mask")
     loss = CountingLoss(actor, gamma=0.9)
-    own = {"rounds": 6, "dialogues": places, "batch_size": 16, "freezes": 2, "epochs": 2}
-    own |= {"checkpoint_every": 2, "keep_checkpoints": 2, "spike": Spike(random_policy, 5)}
-    return RoundTrainer(
-        env,
-        TensorDictSequential(actor, explore, *last),
+    of_learner = {"batch_size": 16, "freezes": 2, "epochs": 2}
+    of_learner |= {"updates_per_round": None, "lr_share": None}
+    of_learner = {name: given.pop(name, value) for name, value in of_learner.items()}
+    learner = Learner(
         loss,
         ReplicaReplay(capacity, replicas=replicas),
         optimizer or ReplicaAdam(loss.parameters(), replicas, lr=1e-2),
         HardUpdate(loss, value_network_update_interval=0),
+        **of_learner,
+    )
+    own = {"rounds": 6, "dialogues": places, "checkpoint_every": 2}
+    own |= {"spike": Spike(random_policy, 5)}
+    return RoundTrainer(
+        env,
+        TensorDictSequential(actor, explore, *last),
+        learner,
         folder,
         **{**own, **given},
         round_metrics={"epsilon": lambda: float(explore.eps)},
-        progress=False,
     )
