@@ -80,7 +80,7 @@ def learning_block(
         if stores:
             trainer.replay.extend(new_rows)
         trainer.learner.learn(next(numbers))
-        return (perf_counter() - started) / sum(trainer.learner.updates)
+        return (perf_counter() - started) / sum(trainer.learner.sums.updates)
 
     block()
     return block
