@@ -7,7 +7,7 @@ import math
 import re
 from dataclasses import dataclass
 from io import BytesIO
-from typing import TYPE_CHECKING, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from bbq_torchrl.utils.files import write_bytes
 
@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from pathlib import Path
 
     from matplotlib.figure import Figure
+
+    from bbq_torchrl.utils.statistics import Estimate
 
 NONE = "–"
 """An empty cell in Markdown."""
@@ -151,6 +153,62 @@ def table(head: Sequence[str], rows: Iterable[Sequence[object]], *, numbers: int
     lines = [list(head), ["---"] * words + ["---:"] * numbers]
     lines += [[str(cell).replace("|", "\\|") for cell in row] for row in rows]
     return "\n".join(f"| {' | '.join(line)} |" for line in lines)
+
+
+COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
+"""Okabe and Ito's palette, also for color-blind readers."""
+
+
+def subplots(count: int, most: int = 3) -> tuple[Figure, list[Any]]:
+    """Returns an empty figure and its panels, at most ``most`` in a row."""
+    # The object interface needs no window system and has no global state.
+    from matplotlib.figure import Figure
+
+    columns = min(most, count)
+    rows = -(-count // columns)
+    size = (max(8, 4 * columns), 4.5 if rows == 1 else 3.3 * rows)
+    figure = Figure(figsize=size, layout="constrained")
+    panels = list(figure.subplots(rows, columns, squeeze=False).flat)
+    for panel in panels[count:]:
+        panel.remove()
+    for panel in panels[:count]:
+        panel.grid(alpha=0.25)
+        panel.spines[["top", "right"]].set_visible(False)
+    return figure, panels[:count]
+
+
+def add_legend(figure: Figure) -> None:
+    """Adds a legend below all panels, for which the figure grows; one column if labels are long."""
+    labels = [label for panel in figure.axes for label in panel.get_legend_handles_labels()[1]]
+    columns = 1 if max(map(len, labels), default=0) > 60 else 2
+    figure.set_figheight(figure.get_figheight() + 0.2 * -(-len(labels) // columns))
+    figure.legend(loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
+
+
+def draw_intervals(
+    panels: Mapping[str, Mapping[str, Estimate]],
+    *,
+    title: str,
+    limits: tuple[float, float] = (0.0, 1.0),
+) -> Figure:
+    """Draws estimates with their intervals, a panel for each mapping.
+
+    Args:
+        panels: heading -> label -> estimate; a missing value (NaN) leaves its row empty.
+        title: the heading of the figure.
+        limits: smallest and largest value shown.
+    """
+    figure, axes = subplots(len(panels))
+    for panel, (heading, estimates) in zip(axes, panels.items(), strict=True):
+        for place, found in enumerate(estimates.values()):
+            ends = [[found.value - found.low], [found.high - found.value]]
+            panel.errorbar(found.value, place, xerr=ends, fmt="o", color=COLORS[0], capsize=3)
+        panel.set(title=heading, xlim=limits, yticks=range(len(estimates)))
+        panel.set(yticklabels=list(estimates), ylim=(len(estimates) - 0.5, -0.5))
+    longest = max(len(estimates) for estimates in panels.values())
+    figure.set_figheight(max(figure.get_figheight(), 1.5 + 0.3 * longest))
+    figure.suptitle(title)
+    return figure
 
 
 def save(figure: Figure, file: Path) -> None:
