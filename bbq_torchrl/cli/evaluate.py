@@ -90,7 +90,7 @@ def evaluation(config: EvaluateConfig) -> dict[str, Any]:
     Raises:
         ValueError or OSError: a missing policy, corpus or device.
     """
-    from bbq_torchrl.domains.specification import RANDOM_POLICY
+    from bbq_torchrl.domains.domain import RANDOM_POLICY
     from bbq_torchrl.evaluation.rollouts import evaluate
     from bbq_torchrl.runs.build import make_domain, set_up_process
     from bbq_torchrl.runs.checks import check_device

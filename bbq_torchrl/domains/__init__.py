@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.domains.domain import Domain
+from bbq_torchrl.domains.domain import REQUIRED_ACTS, Action, Domain, Goal, ScriptedPolicySpec
 from bbq_torchrl.domains.folder import load_domain, movie_domain, save_data, shipped_domain
 from bbq_torchrl.domains.miulab import load_miulab
-from bbq_torchrl.domains.specification import REQUIRED_ACTS, Action, Goal, ScriptedPolicySpec
 from bbq_torchrl.domains.values import (
     AVAILABLE,
     DONT_CARE,

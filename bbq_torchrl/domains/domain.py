@@ -3,32 +3,112 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 from bbq_torchrl.domains.faults import DomainError, Fault
-from bbq_torchrl.domains.specification import (
-    ACTION_KINDS,
-    PRIVILEGED_POLICY,
-    RANDOM_POLICY,
-    REQUIRED_ACTS,
-    repeated,
-)
 from bbq_torchrl.domains.values import DONT_CARE, RESERVED_TEXT, fold
+from bbq_torchrl.settings import PROBABILITY, WORDS, integers
 from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
-    from bbq_torchrl.domains.faults import Place
-    from bbq_torchrl.domains.specification import Action, Goal, ScriptedPolicySpec
+REQUIRED_ACTS = (
+    "request",
+    "inform",
+    "confirm_question",
+    "confirm_answer",
+    "greeting",
+    "closing",
+    "multiple_choice",
+    "thanks",
+    "deny",
+)
+"""The acts that the user simulator interprets; a domain may add others."""
+
+ACTION_KINDS = ("act", "request", "inform", "multiple_choice")
+"""The kinds of actions in their order: first those without a slot, then those with one."""
+
+RANDOM_POLICY = "random"
+"""The name of the random policy, which every domain has."""
+
+PRIVILEGED_POLICY = "clairvoyant"
+"""The name of the policy that reads the user's hidden goal, a reference for agents."""
 
 MAX_TURN_WIDTH = 1_000
 """The largest width of the one-hot turn, which adds as many features to every observation."""
 
-_RESERVED = {fold(text): key for key, text in RESERVED_TEXT.items()}
+PolicyKind = Literal["script", "careful", "repair"]
+
+
+@dataclass(frozen=True)
+class Action:
+    """One de-lexicalized action of the agent; the tracker fills in the value.
+
+    Args:
+        act: the dialogue act that the user hears.
+        slot: the slot requested, informed or offered; ``None`` for a slotless act.
+
+    Raises:
+        ValueError: if the act cannot carry a slot.
+
+    Examples:
+        >>> str(Action("request", "moviename"))
+        'request(moviename)'
+    """
+
+    act: str
+    slot: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.slot is not None and self.act not in ACTION_KINDS[1:]:
+            raise ValueError(
+                "only request, inform and multiple_choice carry a slot in an action, "
+                f"got {str(self)!r}"
+            )
+
+    @property
+    def kind(self) -> str:
+        """``"act"`` for an act without a slot, else the act that carries the slot."""
+        return "act" if self.slot is None else self.act
+
+    def __str__(self) -> str:
+        return self.act if self.slot is None else f"{self.act}({self.slot})"
+
+
+@dataclass(frozen=True)
+class Goal:
+    """A user's goal: slots with required values, and slots whose value is requested.
+
+    Every user also wants the ticket; it is not listed in ``requests``.
+
+    Args:
+        constraints: slot to value; every record meets the value ``"I do not care"``.
+        requests: the slots whose value the user asks for.
+    """
+
+    constraints: Mapping[str, str]
+    requests: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ScriptedPolicySpec:
+    """A hand-written policy as data.
+
+    Args:
+        kind: ``"script"`` plays the actions ``steps`` in order, whatever the user says.
+            ``"careful"`` requests the unfilled slots of ``steps``, answers the user's requests,
+            offers the booking and ends. ``"repair"`` lets the user talk, requests the filled slots
+            of ``steps`` again after a misunderstanding, answers, offers and ends.
+        steps: action texts for a script, slot names for the other kinds.
+    """
+
+    kind: PolicyKind
+    steps: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -88,8 +168,7 @@ class Domain:
     folder: Path | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:
-        found = [Fault(place, text) for place, texts in _faults(self) for text in texts]
-        if found:
+        if found := list(_faults(self)):
             raise DomainError(f"domain {shown(self.name)}", found)
 
     @property
@@ -122,38 +201,41 @@ class Domain:
         return self.action_names.index(name)
 
 
-def _faults(domain: Domain) -> Iterator[tuple[Place, Iterable[str]]]:
-    """Yields the faults of each part of a domain."""
-    for key, text in _fields(domain):
-        yield (key,), [text]
-    yield ("acts",), _acts(domain)
-    yield ("slots",), _slots(domain)
-    yield ("opening_slot",), _opening_slot(domain)
-    yield ("actions",), _actions(domain)
-    for key in ("acts", "slots", "essential", "extension_order", "free_slots"):
-        yield (key,), _names(domain, key)
-    for key in ("ticket_slot", "complete_slot"):
-        yield (key,), _special_slot(domain, key)
-    for action in domain.actions:
-        yield ("actions", action.kind), _action(domain, action)
+_SETTINGS = {
+    "name": WORDS,
+    "turn_width": integers(1, MAX_TURN_WIDTH),
+    "reference_slot_error_prob": PROBABILITY,
+}
+_RESERVED = {fold(text): key for key, text in RESERVED_TEXT.items()}
+
+
+def _faults(domain: Domain) -> Iterator[Fault]:
+    """Yields the faults of a domain."""
+    for key, text in (*_fields(domain), *_names(domain), *_actions(domain)):
+        yield Fault(key, text)
     for name, policy in domain.policies.items():
-        yield ("policies", name), _policy(domain, name, policy)
+        yield from (Fault("policies", text) for text in _policy(domain, name, policy))
     for row, record in enumerate(domain.records):
-        yield ("records", row), _record(domain, record)
+        yield from (Fault("records", text, row) for text in _record(domain, record))
     for number, goal in enumerate(domain.goals):
-        yield ("goals", number), _goal(domain, goal)
+        yield from (Fault("goals", text, number) for text in _goal(domain, goal))
     for slot, values in domain.error_values.items():
-        yield ("error_values", slot), _error_values(domain, slot, values)
+        yield from (Fault("error_values", text, slot) for text in _list(domain, slot, values))
         for value in values if slot in domain.slots else ():
-            yield ("error_values", slot, value), _value(domain, slot, value)
+            texts = _value(domain, slot, value)
+            yield from (Fault("error_values", text, slot, value) for text in texts)
 
 
 def _fields(domain: Domain) -> Iterator[tuple[str, str]]:
-    """Yields the faults of a field as a whole, or of fields that contradict each other."""
-    if not domain.name:
-        yield "name", "name of a domain must not be empty"
-    if both := [slot for slot in domain.extension_order if slot in domain.essential]:
-        text = f"extension_order must not contain essential slots, got {both} in both"
+    """Yields the faults of fields as a whole, and of fields that contradict each other."""
+    for key, allowed in _SETTINGS.items():
+        if text := allowed.fault(key, getattr(domain, key)):
+            yield key, text
+    for key in ("records", "goals"):
+        if not getattr(domain, key):
+            yield key, f"{key} must have at least one entry, got none"
+    if both := {*domain.extension_order} & {*domain.essential}:
+        text = f"extension_order must not contain essential slots, got {sorted(both)}"
         yield "extension_order", text
     known = {action.slot for action in domain.actions if action.kind in ACTION_KINDS[2:]}
     known |= {*domain.error_values, *(slot for record in domain.records for slot in record)}
@@ -161,106 +243,76 @@ def _fields(domain: Domain) -> Iterator[tuple[str, str]]:
         text = "free_slots must leave a slot that constrains the records, got all that have values"
         yield "free_slots", text
     if (ticket := domain.ticket_slot) == domain.complete_slot:
-        text = f"ticket_slot and complete_slot must differ, got {ticket!r} for both"
-        yield "complete_slot", text
-    if not 1 <= (width := domain.turn_width) <= MAX_TURN_WIDTH:
-        text = f"turn_width must be between 1 and {MAX_TURN_WIDTH}, got {shown(width)}"
-        yield "turn_width", text
-    key, chance = "reference_slot_error_prob", domain.reference_slot_error_prob
-    if not 0.0 <= chance <= 1.0:
-        yield key, f"{key} must be between 0 and 1, got {chance}"
-    if not domain.records:
-        yield "records", "the knowledge base is empty"
-    if not domain.goals:
-        yield "goals", "the list of goals is empty"
+        yield "complete_slot", f"complete_slot must not be the ticket_slot, got {ticket!r} for both"
+    for key in ("ticket_slot", "complete_slot"):
+        for group in ("essential", "free_slots"):
+            if (slot := getattr(domain, key)) not in (members := getattr(domain, group)):
+                yield key, f"{key} must be among {group}, {slot!r} is not in {list(members)}"
+    if wrong := {*domain.opening_slots} & {*domain.special_slots}:
+        text = f"opening_slot must not be the ticket or the complete slot, got {sorted(wrong)}"
+        yield "opening_slot", text
 
 
-def _names(domain: Domain, key: str) -> Iterator[str]:
-    names: tuple[str, ...] = getattr(domain, key)
-    if twice := repeated(names):
-        yield f"{key} must be distinct, got {twice} more than once"
-    if key not in ("acts", "slots"):
-        yield from _unknown(domain, names, f"{key} names ")
-
-
-def _unknown(domain: Domain, slots: Iterable[str], names: str = "it names ") -> Iterator[str]:
-    for slot in slots:
-        if slot not in domain.slots:
-            known = ", ".join(domain.slots)
-            yield f"{names}the unknown slot {shown(slot)}; the slots are {known}"
-
-
-def _acts(domain: Domain) -> Iterator[str]:
+def _names(domain: Domain) -> Iterator[tuple[str, str]]:
+    """Yields the faults of lists of names."""
+    lists = {
+        key: getattr(domain, key)
+        for key in ("acts", "slots", "essential", "extension_order", "free_slots")
+    } | {"opening_slot": domain.opening_slots, "actions": domain.action_names}
+    for key, names in lists.items():
+        if twice := _repeated(names):
+            yield key, f"{key} must be distinct, got {twice} more than once"
+        if key not in ("acts", "slots", "actions"):
+            yield from ((key, text) for text in _unknown(domain, names, f"{key} names "))
     for act in domain.acts:
         if not act.isidentifier():
-            yield f"acts must be identifiers, got {shown(act)}"
+            yield "acts", f"acts must be identifiers, got {shown(act)}"
     if missing := [act for act in REQUIRED_ACTS if act not in domain.acts]:
-        yield f"acts must contain {list(REQUIRED_ACTS)}, {missing} are missing"
-
-
-def _slots(domain: Domain) -> Iterator[str]:
+        yield "acts", f"acts must contain {list(REQUIRED_ACTS)}, {missing} are missing"
     for slot in domain.slots:
         # "all" and the turn's "0", "1", ... are names of features.
         if not re.fullmatch(r"\w+", slot) or slot == "all" or slot.isdigit():
             yield (
-                f"slots must consist of letters, digits and underscores, not of digits alone, and "
-                f"must not be 'all', got {shown(slot)}"
+                "slots",
+                "slots must consist of letters, digits and underscores, not of digits alone, and "
+                f"must not be 'all', got {shown(slot)}",
             )
 
 
-def _special_slot(domain: Domain, key: str) -> Iterator[str]:
-    slot: str = getattr(domain, key)
-    yield from _unknown(domain, [slot], f"{key} names ")
-    for group in ("essential", "free_slots"):
-        members: tuple[str, ...] = getattr(domain, group)
-        if slot in domain.slots and slot not in members:
-            yield f"{key} must be among {group}, {slot!r} is not in {list(members)}"
-
-
-def _opening_slot(domain: Domain) -> Iterator[str]:
-    yield from _unknown(domain, domain.opening_slots, "opening_slot names ")
-    if twice := repeated(domain.opening_slots):
-        yield f"opening_slot must name a slot once, got {twice} again"
-    for slot in domain.opening_slots:
-        if slot in domain.special_slots:
-            yield f"opening_slot must not be the ticket or the complete slot, got {slot!r}"
-
-
-def _actions(domain: Domain) -> Iterator[str]:
-    if twice := repeated(domain.action_names):
-        yield f"actions must be distinct, got {twice} more than once"
+def _actions(domain: Domain) -> Iterator[tuple[str, str]]:
+    names = domain.action_names
     kinds = [ACTION_KINDS.index(action.kind) for action in domain.actions]
     if kinds != sorted(kinds):
         yield (
-            f"actions must be slotless acts, then requests, informs and multiple choices, "
-            f"got {', '.join(domain.action_names)}"
+            "actions",
+            "actions must be slotless acts, then requests, informs and multiple choices, got "
+            + ", ".join(names),
         )
-    offer = f"inform({domain.complete_slot})"
-    if offer not in domain.action_names:
-        yield f"actions must contain {offer}: without it nothing can be booked"
-    if not {"thanks", "closing"} & set(domain.action_names):
-        yield "actions must contain thanks or closing: without them no dialogue succeeds"
+    if (offer := f"inform({domain.complete_slot})") not in names:
+        yield "actions", f"actions must contain {offer}: without it nothing can be booked"
+    if not {"thanks", "closing"} & {*names}:
+        text = "actions must contain thanks or closing: without them no dialogue succeeds"
+        yield "actions", text
+    for action in domain.actions:
+        yield from (("actions", f"action {action} {text}") for text in _action(domain, action))
 
 
 def _action(domain: Domain, action: Action) -> Iterator[str]:
     if action.act not in domain.acts:
-        acts = ", ".join(domain.acts)
-        yield f"action {action} has the unknown act {action.act!r}; the acts are {acts}"
+        yield f"has the unknown act {action.act!r}; the acts are {', '.join(domain.acts)}"
     if action.slot is not None:
-        yield from _unknown(domain, [action.slot], f"action {action} names ")
+        yield from _unknown(domain, [action.slot], "names ")
     elif action.act in ACTION_KINDS[1:]:
-        yield f"action {action} needs a slot, written {action.act}(slot)"
+        yield f"needs a slot, written {action.act}(slot)"
     if action.kind in ("request", "multiple_choice") and action.slot in domain.special_slots:
-        yield f"action {action} has no effect: no user constrains {action.slot}"
+        yield f"has no effect: no user constrains {action.slot}"
 
 
 def _policy(domain: Domain, name: str, policy: ScriptedPolicySpec) -> Iterator[str]:
     key = f"policies.{name}"
     if name in ("", RANDOM_POLICY, PRIVILEGED_POLICY):
-        yield (
-            f"policies must not have an empty name or the name {RANDOM_POLICY} or "
-            f"{PRIVILEGED_POLICY}, got {name!r}"
-        )
+        reserved = f"{RANDOM_POLICY} or {PRIVILEGED_POLICY}"
+        yield f"policies must not have an empty name or the name {reserved}, got {name!r}"
     if not policy.steps:
         yield f"{key} must have at least one step, got none"
     requests = [f"request({slot})" for slot in policy.steps if slot in domain.slots]
@@ -303,7 +355,7 @@ def _record(domain: Domain, record: Mapping[str, str]) -> Iterator[str]:
 
 
 def _goal(domain: Domain, goal: Goal) -> Iterator[str]:
-    if twice := repeated(goal.requests):
+    if twice := _repeated(goal.requests):
         yield f"it must request a slot once, got {twice} again"
     yield from _unknown(domain, goal.requests)
     for slot, value in goal.constraints.items():
@@ -315,9 +367,20 @@ def _goal(domain: Domain, goal: Goal) -> Iterator[str]:
         yield f"it must not constrain and request the same slots {both}"
 
 
-def _error_values(domain: Domain, slot: str, values: tuple[str, ...]) -> Iterator[str]:
+def _list(domain: Domain, slot: str, values: tuple[str, ...]) -> Iterator[str]:
     if not values:
         yield f"{slot} must list at least one value, got none"
     yield from _unknown(domain, [slot])
     if slot in domain.special_slots:
         yield f"it must not list the special slot {slot!r}"
+
+
+def _unknown(domain: Domain, slots: Iterable[str], names: str = "it names ") -> Iterator[str]:
+    for slot in slots:
+        if slot not in domain.slots:
+            known = ", ".join(domain.slots)
+            yield f"{names}the unknown slot {shown(slot)}; the slots are {known}"
+
+
+def _repeated(names: Iterable[str]) -> list[str]:
+    return [name for name, count in Counter(names).items() if count > 1]

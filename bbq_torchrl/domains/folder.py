@@ -11,37 +11,73 @@
 from __future__ import annotations
 
 import csv
-import functools
 import io
 import json
+from functools import cache, partial
 from os.path import expanduser
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.domains.domain import Domain
-from bbq_torchrl.domains.faults import DomainError, Fault
-from bbq_torchrl.domains.files import (
-    GOALS_FILE,
-    RECORDS_FILE,
-    SPECIFICATION_FILE,
-    VALUES_FILE,
-    read_goals,
-    read_records,
-    read_specification,
-    read_values,
-)
+import yaml
+
+from bbq_torchrl.domains.domain import ACTION_KINDS, Action, Domain, Goal, ScriptedPolicySpec
+from bbq_torchrl.domains.faults import DomainError, Fault, Source, sentences
 from bbq_torchrl.domains.values import DIFFERENCE, RESERVED_TEXT, misspellings, plain
-from bbq_torchrl.utils.text import shown
+from bbq_torchrl.settings import TEXT, TEXTS, Allowed, check
+from bbq_torchrl.utils.files import read_yaml
+from bbq_torchrl.utils.text import FaultsError, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
-    from bbq_torchrl.domains.specification import Goal
+    _Tell = Callable[..., None]
+
+SPECIFICATION_FILE = "domain.yaml"
+RECORDS_FILE = "knowledge_base.csv"
+GOALS_FILE = "goals.jsonl"
+VALUES_FILE = "values.json"
 
 SHIPPED = {name: Path(__file__).parent / name for name in ("movie", "hotel", "restaurant")}
 """Domain that comes with the package -> its folder."""
 
 MOVIE_FOLDER = SHIPPED["movie"]
+
+Corpus = dict[str, dict[Any, Any]]
+"""The fields ``records``, ``goals`` and ``error_values``, each entry by its line, row or slot."""
+
+_NAMES = ("acts", "slots", "essential", "extension_order", "free_slots")
+_ANY = Allowed("anything", lambda value: True)  # Domain checks it
+_MAPPING = Allowed("a mapping", lambda value: isinstance(value, dict))
+_FORM: dict[str, Allowed] = {
+    "name": TEXT,
+    **dict.fromkeys(_NAMES, TEXTS),
+    "actions": Allowed(
+        "lists of names by act, request, inform and, optionally, multiple_choice",
+        lambda value: (
+            isinstance(value, dict)
+            and {*ACTION_KINDS[:3]} <= {*value} <= {*ACTION_KINDS}
+            and all(map(TEXTS.test, value.values()))
+        ),
+    ),
+    "ticket_slot": TEXT,
+    "complete_slot": TEXT,
+    "opening_slot": Allowed(
+        "a slot, a list of slots or null",
+        lambda value: value is None or TEXT.test(value) or TEXTS.test(value),
+    ),
+    "turn_width": _ANY,
+    "policies": _MAPPING,
+    "reference_slot_error_prob": _ANY,
+}
+_POLICY = Allowed(
+    "a mapping with the keys kind, a text, and steps, a list of names",
+    lambda value: (
+        isinstance(value, dict)
+        and {*value} == {"kind", "steps"}
+        and TEXT.test(value["kind"])
+        and TEXTS.test(value["steps"])
+    ),
+)
 
 
 def load_domain(path: str | Path) -> Domain:
@@ -52,47 +88,47 @@ def load_domain(path: str | Path) -> Domain:
 
     Raises:
         FileNotFoundError: if the folder or one of its files is missing.
-        DomainError: a ``ValueError``, if a file is damaged or the files contradict each other. It
-            lists all faults, each with file, line and what is allowed.
+        FaultsError: a ``ValueError``, if files are damaged or contradict each other. It lists all
+            damage, or else all contradictions, each with file, line and what is allowed.
     """
     folder = Path(expanduser(path))
-    names = (SPECIFICATION_FILE, RECORDS_FILE, GOALS_FILE, VALUES_FILE)
-    if missing := [name for name in names if not (folder / name).is_file()]:
-        raise FileNotFoundError(f"the domain folder {folder} lacks {', '.join(missing)}")
-    specification = read_specification(folder / SPECIFICATION_FILE)
-    tables = {
-        "records": read_records(folder / RECORDS_FILE),
-        "goals": read_goals(folder / GOALS_FILE),
-        "error_values": read_values(folder / VALUES_FILE),
+    readers: dict[str, Callable[[str, _Tell], Any]] = {
+        SPECIFICATION_FILE: _specification,
+        RECORDS_FILE: _records,
+        GOALS_FILE: _goals,
+        VALUES_FILE: _values,
     }
-    faults = [fault for source in (specification, *tables.values()) for fault in source.faults]
-    content = {name: table.content for name, table in tables.items()}
-    found: list[Fault] = []
-    if specification.content:
+    if missing := [name for name in readers if not (folder / name).is_file()]:
+        raise FileNotFoundError(f"the domain folder {folder} lacks {', '.join(missing)}")
+    damage: list[str] = []
+    contents = []
+    for name, read in readers.items():
+        tell = partial(_tell, damage, name)
         try:
-            domain = Domain(**specification.content, **content, folder=folder)
-        except DomainError as error:
-            # A table that could not be read is empty, which is not a second fault.
-            unread = {(name,) for name, table in tables.items() if table.faults}
-            found += [fault for fault in error.found if fault.place not in unread]
-        if not (tables["records"].faults or tables["error_values"].faults):
-            found += _unknown_values(specification.content["slots"], **content)
-        found += [
-            Fault(
-                item.place,
-                f"it has {item}: they differ {DIFFERENCE}, so write both alike",
-            )
-            for item in misspellings(**content)
-        ]
-    for place, text, *_ in found:
-        source = tables.get(str(place[0]), specification)
-        faults.append(Fault(place, text, source.name, "line", source.line(place)))
-    if faults:
-        raise DomainError(str(folder), faults)
+            contents.append(read(read_text(folder / name), tell))
+        except ValueError as error:
+            tell(str(error))
+    if damage:
+        raise FaultsError(str(folder), damage)
+    specification, *data = contents
+    corpus: Corpus = dict(zip(("records", "goals", "error_values"), data, strict=True))
+    content = content_of(corpus)
+    found = [*_unknown_values(specification["slots"], **content), *_misspelled(content)]
+    try:
+        domain = Domain(**specification, **content, folder=folder)
+    except DomainError as error:
+        found = [*error.found, *found]
+    if found:
+        sources = {
+            "records": Source(RECORDS_FILE, "line", list(corpus["records"])),
+            "goals": Source(GOALS_FILE, "line", list(corpus["goals"])),
+            "error_values": Source(VALUES_FILE),
+        }
+        raise FaultsError(str(folder), sentences(found, sources, SPECIFICATION_FILE))
     return domain
 
 
-@functools.cache
+@cache
 def shipped_domain(name: str) -> Domain:
     """Returns one of the :data:`SHIPPED` domains."""
     return load_domain(SHIPPED[name])
@@ -109,6 +145,140 @@ def movie_domain() -> Domain:
         'inform(ticket)'
     """
     return shipped_domain("movie")
+
+
+def content_of(corpus: Corpus) -> dict[str, Any]:
+    """Returns a corpus as fields of a :class:`~bbq_torchrl.domains.Domain`."""
+    records, goals = (tuple(corpus[field].values()) for field in ("records", "goals"))
+    return {"records": records, "goals": goals, "error_values": corpus["error_values"]}
+
+
+def read_text(path: Path) -> str:
+    """Returns a file's text, without a byte-order mark and with its line ends as they are."""
+    with path.open(encoding="utf-8-sig", newline="") as file:
+        return file.read()
+
+
+def _tell(damage: list[str], name: str, text: str, line: int | None = None) -> None:
+    """Adds the damage of a file, or of one of its lines."""
+    damage.append(f"{name}: {text}" if line is None else f"{name}, line {line}: {text}")
+
+
+def _specification(text: str, tell: _Tell) -> dict[str, Any]:
+    """Reads ``domain.yaml``: all fields of a domain but those of a corpus."""
+    content = check("the file", read_yaml(text), _MAPPING)
+    given = {"opening_slot": None, **content}
+    for key in given.keys() - _FORM.keys():
+        tell(f"it has the unknown key {shown(key)}; allowed are {', '.join(_FORM)}")
+    if missing := [key for key in _FORM if key not in given]:
+        raise ValueError(f"it lacks the keys {', '.join(missing)}")
+    for key, allowed in _FORM.items():
+        check(key, given[key], allowed)
+    for name, policy in given["policies"].items():
+        check(f"policies.{name}", policy, _POLICY)
+    acts = [Action(act) for act in given["actions"]["act"]]
+    for kind in ACTION_KINDS[1:]:
+        acts += [Action(kind, slot) for slot in given["actions"].get(kind, [])]
+    return {
+        **{key: tuple(item) if isinstance(item, list) else item for key, item in given.items()},
+        "actions": tuple(acts),
+        "policies": {
+            str(name): ScriptedPolicySpec(policy["kind"], tuple(policy["steps"]))
+            for name, policy in given["policies"].items()
+        },
+    }
+
+
+def specification_text(specification: Mapping[str, Any]) -> str:
+    """Returns the text of ``domain.yaml`` with these fields of a domain."""
+    actions: dict[str, list[str]] = {kind: [] for kind in ACTION_KINDS}
+    for action in specification["actions"]:
+        actions[action.kind].append(action.slot or action.act)
+    policies = {
+        name: {"kind": policy.kind, "steps": list(policy.steps)}
+        for name, policy in specification["policies"].items()
+    }
+    plain = {
+        key: list(item) if isinstance(item, tuple) else item for key, item in specification.items()
+    }
+    return yaml.safe_dump(
+        plain | {"actions": actions, "policies": policies},
+        sort_keys=False,
+        width=100,
+        allow_unicode=True,
+        default_flow_style=None,
+    )
+
+
+def _records(text: str, tell: _Tell) -> dict[int, dict[str, str]]:
+    """Reads a knowledge base: a header of slots, then one record per line."""
+    if text and not text.endswith("\n"):
+        tell("the last line must end with a line break; the file looks truncated")
+    reader = csv.reader(io.StringIO(text, newline=""), strict=True)
+    records = {}
+    try:
+        header = next(reader, [])
+        if not header or len(set(header)) != len(header) or not all(map(str.strip, header)):
+            raise ValueError(f"the header must name every slot once, got {shown(header)}")
+        line = reader.line_num + 1
+        for row in reader:
+            if len(row) != len(header):
+                tell(f"it has {len(row)} fields, the header has {len(header)}", line)
+            records[line] = {slot: value for slot, value in zip(header, row, strict=False) if value}
+            line = reader.line_num + 1
+    except csv.Error as error:
+        tell(str(error), reader.line_num)
+    return records
+
+
+def _goals(text: str, tell: _Tell) -> dict[int, Goal]:
+    """Reads goals, one per line: ``{"constraints": {slot: value}, "requests": [slot]}``."""
+    goals = {}
+    # Not splitlines, which also breaks at characters that JSON allows inside a text.
+    for line, written in enumerate(text.removesuffix("\n").split("\n") if text else (), start=1):
+        try:
+            goal = check("a goal", _json(written), _GOAL)
+            goals[line] = Goal(goal["constraints"], tuple(goal["requests"]))
+        except ValueError as error:
+            tell(str(error), line)
+    return goals
+
+
+def _values(text: str, tell: _Tell) -> dict[str, tuple[str, ...]]:
+    """Reads the values that errors substitute: ``{slot: [values]}``."""
+    lists = check("the file", _json(text), _LISTS)
+    return {slot: tuple(values) for slot, values in lists.items()}
+
+
+_GOAL = Allowed(
+    '{"constraints": {slot: value}, "requests": [slots]}',
+    lambda value: (
+        isinstance(value, dict)
+        and {*value} == {"constraints", "requests"}
+        and isinstance(value["constraints"], dict)
+        and TEXTS.test(value["requests"])
+    ),
+)
+_LISTS = Allowed(
+    "{slot: [values]} with at least one slot, as errors have no effect without values",
+    lambda value: isinstance(value, dict) and bool(value) and all(map(TEXTS.test, value.values())),
+)
+
+
+def _json(text: str) -> Any:
+    """Parses JSON without repeated keys."""
+
+    def unique(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+        if len(entries := dict(pairs)) < len(pairs):
+            raise ValueError(
+                f"every key must be given once, got {shown([key for key, _ in pairs])}"
+            )
+        return entries
+
+    try:
+        return json.loads(text, object_pairs_hook=unique)
+    except RecursionError as error:
+        raise ValueError(str(error)) from error
 
 
 def save_data(
@@ -133,20 +303,25 @@ def save_data(
     writer = csv.DictWriter(table, fieldnames=slots, lineterminator="\n")
     writer.writeheader()
     writer.writerows(records)
+    dump = partial(json.dumps, ensure_ascii=False)
     lines = (
-        json.dumps(
-            {"constraints": dict(goal.constraints), "requests": list(goal.requests)},
-            ensure_ascii=False,
-        )
+        dump({"constraints": dict(goal.constraints), "requests": list(goal.requests)}) + "\n"
         for goal in goals
     )
     values = {slot: list(texts) for slot, texts in error_values.items()}
     for name, text in (
         (RECORDS_FILE, table.getvalue()),
-        (GOALS_FILE, "".join(f"{line}\n" for line in lines)),
-        (VALUES_FILE, json.dumps(values, ensure_ascii=False, indent=1) + "\n"),
+        (GOALS_FILE, "".join(lines)),
+        (VALUES_FILE, dump(values, indent=1) + "\n"),
     ):
         Path(folder, name).write_text(text, encoding="utf-8", newline="\n")
+
+
+def _misspelled(content: Mapping[str, Any]) -> Iterator[Fault]:
+    """Finds values that look like another one of their slot but do not match it."""
+    for item in misspellings(**content):
+        text = f"it has {item}: they differ {DIFFERENCE}, so write both alike"
+        yield Fault(item.field, text, item.entry)
 
 
 def _unknown_values(
@@ -154,7 +329,7 @@ def _unknown_values(
     records: Sequence[Mapping[str, str]],
     goals: Sequence[Goal],
     error_values: Mapping[str, Sequence[str]],
-) -> list[Fault]:
+) -> Iterator[Fault]:
     """Finds goals that constrain a slot to a value that no list and no record has.
 
     In a hand-written corpus such a value is a typing error. Values that differ only in spelling are
@@ -164,13 +339,8 @@ def _unknown_values(
     known = {(slot, plain(text)) for slot in slots for text in RESERVED_TEXT.values()}
     known |= {(slot, plain(text)) for slot, texts in error_values.items() for text in texts}
     known |= {(slot, plain(text)) for record in records for slot, text in record.items()}
-    return [
-        Fault(
-            ("goals", number),
-            f"it wants {slot} = {shown(value)}, a value that is neither in {VALUES_FILE} nor in "
-            f"{RECORDS_FILE}",
-        )
-        for number, goal in enumerate(goals)
-        for slot, value in goal.constraints.items()
-        if slot in slots and isinstance(value, str) and (slot, plain(value)) not in known
-    ]
+    for number, goal in enumerate(goals):
+        for slot, value in goal.constraints.items():
+            if slot in slots and isinstance(value, str) and (slot, plain(value)) not in known:
+                files = f"a value that is neither in {VALUES_FILE} nor in {RECORDS_FILE}"
+                yield Fault("goals", f"it wants {slot} = {shown(value)}, {files}", number)

@@ -7,41 +7,52 @@ those that never constrain the knowledge base.
 from __future__ import annotations
 
 from collections import Counter
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
-from bbq_torchrl.domains.cleaning import cleaned, only_in_goals
-from bbq_torchrl.domains.faults import DomainError, Source
-from bbq_torchrl.domains.files import SPECIFICATION_FILE, VALUES_FILE
-from bbq_torchrl.domains.folder import load_domain, save_data
+from bbq_torchrl.domains.domain import Action, Domain, Goal, ScriptedPolicySpec
+from bbq_torchrl.domains.folder import (
+    SPECIFICATION_FILE,
+    VALUES_FILE,
+    content_of,
+    load_domain,
+    read_text,
+    save_data,
+    specification_text,
+)
 from bbq_torchrl.domains.miulab import fitted, read_corpus
-from bbq_torchrl.domains.specification import ACTION_KINDS, Action, ScriptedPolicySpec
+from bbq_torchrl.domains.values import RESERVED_TEXT, fold, misspellings
 from bbq_torchrl.utils import output
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
-    from bbq_torchrl.domains.domain import Domain
-    from bbq_torchrl.domains.miulab import Corpus
-    from bbq_torchrl.domains.specification import Goal
+    from bbq_torchrl.domains.folder import Corpus
 
+_FILES = {
+    "slots": "text file with one slot per line",
+    "acts": "text file with one dialogue act per line",
+    "kb": "pickle: {row: {slot: value}}",
+    "goals": "pickle: [{diaact, inform_slots, request_slots}]",
+    "values": "pickle: {slot: [value]}, the values that an error can substitute",
+}
 _SLOTLESS = ("greeting", "thanks", "deny", "confirm_question", "confirm_answer", "closing")
 _TURN_WIDTH = 40
 
 
 def main(arguments: Sequence[str]) -> int:
     """Runs the command line. Returns the exit code."""
-    given = _parser().parse_args(arguments)
-    domain, changes = import_corpus(**vars(given))  # the same names
+    given = vars(_parser().parse_args(arguments))
+    files = {name: given.pop(name) for name in _FILES}
+    domain, changes = import_corpus(files=files, **given)  # the same names
     lines = [
-        f"{given.folder}: {len(domain.records)} records, {len(domain.goals)} goals, "
+        f"{given['folder']}: {len(domain.records)} records, {len(domain.goals)} goals, "
         f"{len(domain.slots)} slots, {len(domain.actions)} actions",
         *changes,
         f"{SPECIFICATION_FILE}: reference_slot_error_prob is 0; `python -m bbq_torchrl.domains "
-        f"calibrate domain=folder domain.path={given.folder}` finds the one for a success rate",
+        f"calibrate domain=folder domain.path={given['folder']}` finds the one for a success rate",
     ]
     output.write("".join(f"{line}\n" for line in lines))
     return 0
@@ -53,47 +64,24 @@ def _parser() -> argparse.ArgumentParser:
         description="Writes a domain folder from a corpus in MiuLab's format (TC-Bot, DDQ, the "
         "Microsoft Dialogue Challenge), and reports what it left out or changed.",
     )
-    for name, meaning in (
-        ("slots", "text file with one slot per line"),
-        ("acts", "text file with one dialogue act per line"),
-        ("kb", "pickle: {row: {slot: value}}"),
-        ("goals", "pickle: [{diaact, inform_slots, request_slots}]"),
-        ("values", "pickle: {slot: [value]}, the values that an error can substitute"),
-        ("folder", "output folder, new or empty"),
-    ):
-        parser.add_argument(name, type=Path, help=meaning)
     add = parser.add_argument
+    for name, meaning in _FILES.items():
+        add(name, type=Path, help=meaning)
+    add("folder", type=Path, help="output folder, new or empty")
     add("--ticket", required=True, help="the slot that is booked, such as ticket or reservation")
-    add(
-        "--essential",
-        required=True,
-        type=_names,
-        metavar="SLOTS",
-        help="slots that a booking needs, separated by commas: the scripted policies request them "
-        "in this order, and domain extension begins with them",
-    )
-    add(
-        "--free",
-        type=_names,
-        default=(),
-        metavar="SLOTS",
-        help="slots that never constrain the knowledge base, such as the number of people",
-    )
     add("--complete", default="taskcomplete", help="the slot whose inform offers the booking")
-    add(
-        "--opening",
-        type=_names,
-        default=(),
-        metavar="SLOTS",
-        help="slots that users inform in their first turn",
-    )
-    add(
-        "--without",
-        type=_names,
-        default=(),
-        metavar="SLOTS",
-        help="slots to remove from goals, records and values, such as greeting",
-    )
+    for option, meaning in (
+        (
+            "--essential",
+            "slots that a booking needs, separated by commas: the scripted policies request them "
+            "in this order, and domain extension begins with them",
+        ),
+        ("--free", "slots that never constrain the knowledge base, such as the number of people"),
+        ("--opening", "slots that users inform in their first turn"),
+        ("--without", "slots to remove from goals, records and values, such as greeting"),
+    ):
+        required = option == "--essential"
+        add(option, required=required, type=_names, default=(), metavar="SLOTS", help=meaning)
     add("--name", help="name of the domain; by default that of its folder")
     return parser
 
@@ -104,12 +92,8 @@ def _names(text: str) -> tuple[str, ...]:
 
 def import_corpus(
     folder: str | Path,
+    files: Mapping[str, str | Path],
     *,
-    slots: str | Path,
-    acts: str | Path,
-    kb: str | Path,
-    goals: str | Path,
-    values: str | Path,
     ticket: str,
     essential: Sequence[str],
     free: Sequence[str] = (),
@@ -127,11 +111,8 @@ def import_corpus(
 
     Args:
         folder: output folder, new or empty.
-        slots: text file with one slot per line.
-        acts: text file with one dialogue act per line.
-        kb: pickle of the records.
-        goals: pickle of the users' goals.
-        values: pickle of the lists of values.
+        files: text files of ``slots`` and ``acts``, a name per line; pickles of the records,
+            ``kb``, the users' ``goals`` and the lists of ``values``.
         ticket: the slot that is booked.
         essential: the slots that a booking needs, in the order in which policies request them.
         free: the slots that never constrain the records.
@@ -151,9 +132,7 @@ def import_corpus(
     folder = Path(folder)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ValueError(f"folder must be new or empty, got {folder}, which exists already")
-    listed, changes = _lines_of(Path(slots))
-    allowed, more = _lines_of(Path(acts))
-    changes += more
+    slots, acts = (_names_in(Path(files[key])) for key in ("slots", "acts"))
     for key, names in {
         "ticket": (ticket,),
         "complete": (complete,),
@@ -162,69 +141,118 @@ def import_corpus(
         "opening": opening,
         "without": without,
     }.items():
-        if unknown := [slot for slot in names if slot not in listed]:
+        if unknown := [slot for slot in names if slot not in slots]:
             raise ValueError(
-                f"{key} must name slots of {slots}, got {', '.join(unknown)}; the slots are "
-                f"{', '.join(listed)}"
+                f"{key} must name slots of {files['slots']}, got {', '.join(unknown)}; the slots "
+                f"are {', '.join(slots)}"
             )
-    files = {"records": Path(kb), "goals": Path(goals), "error_values": Path(values)}
-    corpus = read_corpus(files, allowed, ticket)
     special = (ticket, complete)
-    corpus, more = cleaned(corpus, files, (*special, *without))
-    changes += more
     core = tuple(slot for slot in essential if slot not in special)
+    pickles = {"records": "kb", "goals": "goals", "error_values": "values"}
+    data = {field: Path(files[key]) for field, key in pickles.items()}
+    corpus, changes = _cleaned(read_corpus(data, ticket), {*special, *without})
     specification = {
         "name": name or folder.resolve().name,
-        "acts": allowed,
-        "slots": listed,
-        **_agent(corpus, allowed, listed, special, core),
+        "acts": acts,
+        "slots": slots,
+        **_agent(corpus, acts, slots, special, core),
         "free_slots": (*(slot for slot in free if slot not in special), *special),
         "ticket_slot": ticket,
         "complete_slot": complete,
-        "opening_slot": opening or None,
+        "opening_slot": tuple(opening) or None,
         "turn_width": _TURN_WIDTH,
         "reference_slot_error_prob": 0.0,
     }
-    domain = fitted(specification, corpus, files, "the corpus", skip_unusable=True)
-    extra = only_in_goals(domain)
-    changes += [
-        *domain.skipped,
-        *(
-            f"{VALUES_FILE}: values of {slot} that only goals have are added: {len(texts)}"
-            for slot, texts in extra.items()
-        ),
-    ]
-    lists = {
-        slot: (*domain.error_values.get(slot, ()), *extra.get(slot, ()))
-        for slot in listed
-        if slot in domain.error_values or slot in extra
-    }
+    domain = fitted(partial(Domain, **specification), slots, corpus, data, skip_unusable=True)
+    changes += [f"left out: {text}" for text in domain.skipped]
+    lists = {slot: [*texts] for slot, texts in domain.error_values.items()}
+    for slot, texts in _only_in_goals(domain).items():
+        lists.setdefault(slot, []).extend(texts)
+        changes.append(f"{VALUES_FILE}: {len(texts)} values of {slot} are added from goals")
     folder.mkdir(parents=True, exist_ok=True)
-    text = yaml.safe_dump(
-        _plain(specification),
-        sort_keys=False,
-        width=100,
-        allow_unicode=True,
-        default_flow_style=None,
-    )
+    text = specification_text(specification)
     (folder / SPECIFICATION_FILE).write_text(text, encoding="utf-8", newline="\n")
-    columns = [slot for slot in listed if any(slot in record for record in domain.records)]
+    columns = [slot for slot in slots if any(slot in record for record in domain.records)]
     save_data(folder, columns, domain.records, domain.goals, lists)
     return load_domain(folder), changes
 
 
-def _lines_of(path: Path) -> tuple[tuple[str, ...], list[str]]:
-    """Returns the distinct names in a text file, and a sentence about repeated ones."""
-    source = Source(path)
-    text = source.text()
-    if text is None:
-        raise DomainError(str(path), source.faults)
-    counts = Counter(line.strip() for line in text.splitlines() if line.strip())
-    if not counts:
+def _names_in(path: Path) -> tuple[str, ...]:
+    """Returns the distinct names in a text file."""
+    names = dict.fromkeys(line.strip() for line in read_text(path).splitlines() if line.strip())
+    if not names:
         raise ValueError(f"{path} must have one name per line, got an empty file")
-    twice = [name for name, count in counts.items() if count > 1]
-    changes = [f"{path.name}: {', '.join(twice)} is listed more than once"] if twice else []
-    return tuple(counts), changes
+    return tuple(names)
+
+
+def _cleaned(corpus: Corpus, out: set[str]) -> tuple[Corpus, list[str]]:
+    """Returns a corpus with single blanks, and with every value in its most frequent spelling.
+
+    Args:
+        corpus: records, goals and lists of values.
+        out: slots to remove everywhere.
+
+    Returns:
+        The corpus, and a sentence for each kind of change.
+    """
+    usual = {(item.slot, item.text): item.usual for item in misspellings(**content_of(corpus))}
+    changed: Counter[str] = Counter()
+
+    def spelled(slot: str, text: str) -> str:
+        new = " ".join(usual.get((slot, text), text).split())
+        changed[slot] += new != text
+        return new
+
+    def kept(entry: Mapping[str, str]) -> dict[str, str]:
+        return {slot: spelled(slot, text) for slot, text in entry.items() if slot not in out}
+
+    after: Corpus = {
+        "records": {row: kept(record) for row, record in corpus["records"].items()},
+        "goals": {
+            number: Goal(
+                kept(goal.constraints), tuple(slot for slot in goal.requests if slot not in out)
+            )
+            for number, goal in corpus["goals"].items()
+        },
+        "error_values": {
+            slot: tuple(spelled(slot, text) for text in texts)
+            for slot, texts in corpus["error_values"].items()
+            if slot not in out
+        },
+    }
+    dropped = Counter(slot for slot in _slots_of(corpus) if slot in out)
+    return after, [
+        *(f"{slot} is left out of {count} entries" for slot, count in dropped.items()),
+        *(
+            f"{count} values of {slot} are respelled, with single blanks or in the most frequent "
+            "spelling"
+            for slot, count in changed.items()
+            if count
+        ),
+    ]
+
+
+def _slots_of(corpus: Corpus) -> Iterator[str]:
+    """Yields the slots that each entry names."""
+    for record in corpus["records"].values():
+        yield from record
+    for goal in corpus["goals"].values():
+        yield from (*goal.constraints, *goal.requests)
+    yield from corpus["error_values"]
+
+
+def _only_in_goals(domain: Domain) -> dict[str, list[str]]:
+    """Returns, for each slot, the values that occur only in goals, not in lists or records."""
+    known = {(slot, fold(text)) for slot, texts in domain.error_values.items() for text in texts}
+    known |= {(slot, fold(text)) for record in domain.records for slot, text in record.items()}
+    known |= {(slot, fold(text)) for slot in domain.slots for text in RESERVED_TEXT.values()}
+    found: dict[str, list[str]] = {}
+    for goal in domain.goals:
+        for slot, text in goal.constraints.items():
+            if (slot, fold(text)) not in known:
+                known.add((slot, fold(text)))
+                found.setdefault(slot, []).append(text)
+    return found
 
 
 def _agent(
@@ -236,7 +264,7 @@ def _agent(
 ) -> dict[str, Any]:
     """Returns the fields about the agent: actions, order of slots and policies."""
     ticket, complete = special
-    goals: Iterable[Goal] = corpus["goals"].values()
+    goals = corpus["goals"].values()
     wanted = Counter(slot for goal in goals for slot in (*goal.constraints, *goal.requests))
     found = {slot for record in corpus["records"].values() for slot in record}
     rest = [slot for slot in slots if slot not in (*special, *essential)]
@@ -263,19 +291,3 @@ def _agent(
             "careful": ScriptedPolicySpec("careful", tuple(requests)),
         },
     }
-
-
-def _plain(specification: Mapping[str, Any]) -> dict[str, Any]:
-    """Returns a specification in the form of ``domain.yaml``."""
-    actions: dict[str, list[str]] = {kind: [] for kind in ACTION_KINDS}
-    for action in specification["actions"]:
-        actions[action.kind].append(action.slot or action.act)
-    policies = {
-        name: {"kind": policy.kind, "steps": list(policy.steps)}
-        for name, policy in specification["policies"].items()
-    }
-    lists = {
-        key: list(value) if isinstance(value, tuple) else value
-        for key, value in specification.items()
-    }
-    return lists | {"actions": actions, "policies": policies}

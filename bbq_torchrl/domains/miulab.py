@@ -8,21 +8,24 @@ from __future__ import annotations
 
 import io
 import pickle
+from dataclasses import replace
+from functools import partial
 from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from bbq_torchrl.domains.domain import Domain
-from bbq_torchrl.domains.faults import DomainError, Fault, sentences
-from bbq_torchrl.domains.files import NEEDS_VALUES, SPECIFICATION_FILE, read_specification
-from bbq_torchrl.domains.folder import MOVIE_FOLDER
-from bbq_torchrl.domains.specification import Goal
+from bbq_torchrl.domains.domain import Goal
+from bbq_torchrl.domains.faults import DomainError, Fault, Source, sentences
+from bbq_torchrl.domains.folder import content_of, shipped_domain
 from bbq_torchrl.domains.values import DIFFERENCE, misspellings
-from bbq_torchrl.settings import TEXT, check
-from bbq_torchrl.utils.text import sentence, shown
+from bbq_torchrl.settings import TEXT, TEXTS, Allowed, check, one_of
+from bbq_torchrl.utils.text import FaultsError, sentence
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+
+    from bbq_torchrl.domains.domain import Domain
+    from bbq_torchrl.domains.folder import Corpus
 
 REFERENCE_SLOT_ERROR_PROB = 0.0581
 """The slot error probability (mode ``value``) at which the rule policy succeeds in 18.3 % of the
@@ -30,13 +33,29 @@ dialogues on the default files. At 0.058 it succeeded in 18.31 % of 500,000; the
 0.0119 per 0.01.
 """
 
-_GOAL_KEYS = {"diaact", "inform_slots", "request_slots"}
+_UNITS = {"records": "row", "goals": "goal", "error_values": "slot"}
 _UNKNOWN = "UNK"
 
-Corpus = dict[str, dict[Any, Any]]
-"""Records, goals and lists of values, keyed as in the files."""
 
-_UNITS = {"records": "row", "goals": "goal", "error_values": "slot"}
+def _has_keys(content: object, kind: type) -> bool:
+    return isinstance(content, dict) and all(type(key) is kind for key in content)
+
+
+_ROWS = Allowed("a dict with integers as keys", lambda content: _has_keys(content, int))
+_LIST = Allowed("a list", lambda content: isinstance(content, list))
+_LISTS = Allowed(
+    "a dict of lists by slot, not empty", lambda content: bool(content) and _has_keys(content, str)
+)
+_TEXTS = Allowed(
+    "a dict of texts by slot",
+    lambda content: _has_keys(content, str) and all(map(TEXT.test, content.values())),
+)
+_GOAL = Allowed(
+    "a dict with the keys diaact, inform_slots and request_slots",
+    lambda content: (
+        isinstance(content, dict) and {*content} == {"diaact", "inform_slots", "request_slots"}
+    ),
+)
 
 
 class _PlainUnpickler(pickle.Unpickler):
@@ -81,94 +100,85 @@ def load_miulab(
             if no usable entry remains, or, without ``skip_unusable``, if an entry is unusable.
     """
     folder = Path(expanduser(path))
-    if missing := [name for name in (goals, kb, values) if not (folder / name).is_file()]:
-        raise FileNotFoundError(f"the MiuLab folder {folder} lacks {missing}")
-    specification = read_specification(MOVIE_FOLDER / SPECIFICATION_FILE).content
-    specification |= {
-        "name": "miulab",
-        "reference_slot_error_prob": REFERENCE_SLOT_ERROR_PROB,
-    }
     files = {"records": folder / kb, "goals": folder / goals, "error_values": folder / values}
-    corpus = read_corpus(files, specification["acts"], specification["ticket_slot"])
-    return fitted(specification, corpus, files, str(folder), skip_unusable=skip_unusable)
+    if missing := [file.name for file in files.values() if not file.is_file()]:
+        raise FileNotFoundError(f"the MiuLab folder {folder} lacks {', '.join(missing)}")
+    movie = shipped_domain("movie")
+    make = partial(
+        replace,
+        movie,
+        name="miulab",
+        reference_slot_error_prob=REFERENCE_SLOT_ERROR_PROB,
+        folder=None,
+    )
+    corpus = read_corpus(files, movie.ticket_slot)
+    return fitted(make, movie.slots, corpus, files, skip_unusable=skip_unusable)
 
 
-def read_corpus(files: Mapping[str, Path], acts: Sequence[str], ticket: str) -> Corpus:
+def read_corpus(files: Mapping[str, Path], ticket: str) -> Corpus:
     """Reads records, goals and lists of values, and checks each file's form.
 
     Args:
         files: the paths by ``records``, ``goals`` and ``error_values``.
-        acts: the acts that goals may have.
         ticket: the slot that every goal requests; goals leave it implicit.
 
     Raises:
         FileNotFoundError: if a file is missing.
         ValueError: if a file is damaged or contains anything but plain data of the expected form.
     """
-    goals = files["goals"]
+    records, goals, values = files["records"], files["goals"], files["error_values"]
+    rows, lists = _read(records, _ROWS), _read(values, _LISTS)
     return {
-        "records": _records(files["records"]),
+        "records": {row: _texts(f"{records}: row {row}", rows[row]) for row in sorted(rows)},
         "goals": {
-            number: _goal(f"{goals}: goal {number}", entry, acts, ticket)
-            for number, entry in enumerate(_expect(goals, read_plain_pickle(goals)))
+            number: _goal(f"{goals}: goal {number}", goal, ticket)
+            for number, goal in enumerate(_read(goals, _LIST))
         },
-        "error_values": _values(files["error_values"]),
+        # A value listed twice stays twice, and is drawn twice as often.
+        "error_values": {
+            slot: tuple(text for text in check(f"{values}: {slot}", texts, TEXTS) if text.strip())
+            for slot, texts in lists.items()
+        },
     }
 
 
 def fitted(
-    specification: Mapping[str, Any],
+    make: Callable[..., Domain],
+    slots: Sequence[str],
     corpus: Corpus,
     files: Mapping[str, Path],
-    where: str,
     *,
     skip_unusable: bool,
 ) -> Domain:
     """Returns the domain of a corpus, without the entries that cannot be used.
 
     Args:
-        specification: all fields of the domain but those of the corpus.
+        make: makes the domain of ``records``, ``goals``, ``error_values``, ``skipped``, ``doubts``.
+        slots: the domain's slots.
         corpus: the result of :func:`read_corpus`.
         files: the same as there; messages name them.
-        where: the subject of the error message.
         skip_unusable: whether unusable entries are left out rather than refused.
 
     Raises:
-        DomainError: if the specification is inconsistent, if no usable entry remains, or, without
+        FaultsError: if the domain is inconsistent, if no usable entry remains, or, without
             ``skip_unusable``, if an entry is unusable.
     """
-    names = {field: path.name for field, path in files.items()}
-    faults: list[Fault] = []
-    usable = corpus
+    usable, skipped = corpus, list[str]()
     while True:
+        sources = {
+            field: Source(files[field].name, unit, list(usable[field]))
+            for field, unit in _UNITS.items()
+        }
+        content = content_of(usable)
+        doubts = sentences(_doubts(content), sources)
         try:
-            return Domain(
-                **specification,
-                records=tuple(usable["records"].values()),
-                goals=tuple(usable["goals"].values()),
-                error_values=usable["error_values"],
-                skipped=(*_changes(names, corpus, usable), *sentences(faults)) if faults else (),
-                doubts=tuple(sentences(dict.fromkeys(_misspelled(names, usable)))),
-            )
+            return make(**content, skipped=tuple(skipped), doubts=tuple(doubts))
         except DomainError as error:
-            if own := [fault for fault in error.found if fault.place[0] not in names]:
-                raise DomainError(where, own) from error
-            for fault in error.found:
-                field, *which = fault.place
-                name = str(field)
-                number = _key(usable, name, which) if name != "error_values" else None
-                faults.append(fault._replace(file=names[name], unit=_UNITS[name], number=number))
-            left = _without(usable, error.found, specification["slots"])
-            if not skip_unusable or left == usable:
-                raise DomainError(where, faults) from error
+            left = _without(usable, error.found, slots)
+            skipped += sentences(error.found, sources)
+            if left == usable or not skip_unusable:
+                raise FaultsError(str(files["records"].parent), skipped) from error
             usable = left
-
-
-def _key(corpus: Corpus, name: str, which: Sequence[str | int]) -> Any:
-    """Returns the file's key of the entry at a location in the domain, or ``None``."""
-    if name == "error_values" or not which:
-        return which[0] if which else None
-    return list(corpus[name])[int(which[0])]
 
 
 def _without(corpus: Corpus, found: Iterable[Fault], slots: Sequence[str]) -> Corpus:
@@ -176,46 +186,30 @@ def _without(corpus: Corpus, found: Iterable[Fault], slots: Sequence[str]) -> Co
 
     A record loses only its unknown slots, a list only its faulty values.
     """
-    left = {name: dict(entries) for name, entries in corpus.items()}
-    for (field, *which), *_ in found:
-        name = str(field)
-        key = _key(corpus, name, which)
-        if key is None:
+    left = {field: dict(entries) for field, entries in corpus.items()}
+    for field, _, entry, value in found:
+        if field not in corpus or entry is None:
             continue
-        before, entry = corpus[name][key], left[name][key]
-        if name == "records":
-            known = {slot: text for slot, text in before.items() if slot in slots}
-            left[name][key] = known if len(known) < len(before) else None
-        elif name == "error_values" and len(which) > 1 and entry:
-            left[name][key] = tuple(text for text in entry if text != which[1])
+        key = list(corpus[field])[entry] if isinstance(entry, int) else entry
+        before, now = corpus[field][key], left[field][key]
+        if field == "records" and not before.keys() <= {*slots}:
+            left[field][key] = {slot: text for slot, text in before.items() if slot in slots}
+        elif value is not None:
+            left[field][key] = tuple(text for text in now or () if text != value)
         else:
-            left[name][key] = None
+            left[field][key] = None
     return {
-        name: {key: entry for key, entry in entries.items() if entry}
-        for name, entries in left.items()
+        field: {key: entry for key, entry in entries.items() if entry}
+        for field, entries in left.items()
     }
 
 
-def _changes(files: Mapping[str, str], whole: Corpus, left: Corpus) -> Iterator[str]:
-    """Yields the number of changed entries of each file, as a sentence."""
-    for name, before in whole.items():
-        unlike = sum(left[name].get(key) != entry for key, entry in before.items())
-        if unlike:
-            entries = f"{unlike} of {len(before)} {_UNITS[name]}s"
-            yield f"{files[name]}: {entries} are left out wholly or in part"
-
-
-def _misspelled(files: Mapping[str, str], corpus: Corpus) -> Iterator[Fault]:
-    """Yields the locations of values that never match others, with one example per file."""
+def _doubts(content: Mapping[str, Any]) -> Iterator[Fault]:
+    """Yields the values that never match others, with one example per file."""
     texts: dict[str, str] = {}
-    for item in misspellings(
-        tuple(corpus["records"].values()), tuple(corpus["goals"].values()), corpus["error_values"]
-    ):
-        field, *which = item.place
-        name = str(field)
+    for item in misspellings(**content):
         text = f"some values differ from others of their slot {DIFFERENCE}, such as {item}"
-        text = texts.setdefault(name, text)
-        yield Fault(item.place[:2], text, files[name], _UNITS[name], _key(corpus, name, which))
+        yield Fault(item.field, texts.setdefault(item.field, text), item.entry)
 
 
 def read_plain_pickle(path: str | Path) -> Any:
@@ -248,63 +242,22 @@ def read_plain_pickle(path: str | Path) -> Any:
     return content
 
 
-def _expect(where: str | Path, content: object) -> list[Any]:
-    if not isinstance(content, list):
-        raise ValueError(f"{where} must hold a list, got {type(content).__name__}")
-    return content
+def _read(path: Path, allowed: Allowed) -> Any:
+    return check(str(path), read_plain_pickle(path), allowed)
 
 
-def _expect_mapping(where: str | Path, content: object, key_type: type) -> Mapping[Any, Any]:
-    if not isinstance(content, dict):
-        raise ValueError(f"{where} must hold a dict, got {type(content).__name__}")
-    for key in content:
-        if type(key) is not key_type:
-            raise ValueError(f"{where} must have {key_type.__name__} keys, got {shown(key)}")
-    return content
-
-
-def _slot_values(where: str, content: object) -> dict[str, str]:
+def _texts(where: str, content: object) -> dict[str, str]:
     """Returns the values by slot, without blank ones."""
-    values = _expect_mapping(where, content, str)
-    texts = {slot: check(f"{where}, {slot}", value, TEXT) for slot, value in values.items()}
-    return {slot: text for slot, text in texts.items() if text.strip()}
+    return {slot: text for slot, text in check(where, content, _TEXTS).items() if text.strip()}
 
 
-def _records(path: Path) -> dict[int, dict[str, str]]:
-    table = _expect_mapping(path, read_plain_pickle(path), int)
-    return {row: _slot_values(f"{path}: row {row}", table[row]) for row in sorted(table)}
-
-
-def _values(path: Path) -> dict[str, tuple[str, ...]]:
-    """Returns the values by slot; a value listed twice stays twice, and is drawn twice as often."""
-    lists = _expect_mapping(path, read_plain_pickle(path), str)
-    if not lists:
-        raise ValueError(f"{path} {NEEDS_VALUES}")
-    values = {
-        slot: [check(f"{path}: {slot}", text, TEXT) for text in _expect(f"{path}: {slot}", entry)]
-        for slot, entry in lists.items()
-    }
-    return {slot: tuple(text for text in texts if text.strip()) for slot, texts in values.items()}
-
-
-def _goal(where: str, content: object, acts: Sequence[str], ticket: str) -> Goal:
-    goal = _expect_mapping(where, content, str)
-    if set(goal) != _GOAL_KEYS:
-        raise ValueError(
-            f"{where} must have the keys {sorted(_GOAL_KEYS)}, got {shown(sorted(goal))}"
-        )
-    if goal["diaact"] not in acts:
-        raise ValueError(
-            f"{where} has the unknown act {shown(goal['diaact'])}; allowed: {', '.join(acts)}"
-        )
-    if goal["diaact"] != "request":
-        raise ValueError(f"{where} must open with the act request, got {shown(goal['diaact'])}")
-    requests = _slot_values(f"{where}, request_slots", goal["request_slots"])
-    if odd := {slot: value for slot, value in requests.items() if value != _UNKNOWN}:
-        raise ValueError(
-            f"{where} must request slots with the value {_UNKNOWN!r}, got {shown(odd)}"
-        )
+def _goal(where: str, content: object, ticket: str) -> Goal:
+    goal = check(where, content, _GOAL)
+    check(f"{where}, diaact", goal["diaact"], one_of("request"))
+    requests = _texts(f"{where}, request_slots", goal["request_slots"])
+    for slot, value in requests.items():
+        check(f"{where}, request_slots, {slot}", value, one_of(_UNKNOWN))
     return Goal(
-        constraints=_slot_values(f"{where}, inform_slots", goal["inform_slots"]),
+        constraints=_texts(f"{where}, inform_slots", goal["inform_slots"]),
         requests=tuple(slot for slot in requests if slot != ticket),
     )

@@ -13,10 +13,9 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
-    from bbq_torchrl.domains.faults import Place
-    from bbq_torchrl.domains.specification import Goal
+    from bbq_torchrl.domains.domain import Goal
 
 
 NONE = 0
@@ -80,13 +79,15 @@ class Misspelling(NamedTuple):
     """A value that looks like another value of its slot but does not match it.
 
     Attributes:
-        place: its location in the domain.
+        field: the field of the domain that has it.
+        entry: the index of the record or goal, or the slot of the list.
         slot: its slot.
         text: its spelling.
         usual: the most frequent spelling, or a reserved value.
     """
 
-    place: Place
+    field: str
+    entry: int | str
     slot: str
     text: str
     usual: str
@@ -126,39 +127,30 @@ def misspellings(
         goals: the users' goals.
         error_values: slot to values.
     """
-    written: dict[tuple[str, str], list[tuple[Place, str]]] = defaultdict(list)
-    for place, slot, text in _values(records, goals, error_values):
-        if isinstance(text, str):
-            written[slot, plain(text)].append((place, text))
+    entries: list[tuple[str, int | str, Iterable[tuple[str, str]]]] = [
+        *(("records", row, record.items()) for row, record in enumerate(records)),
+        *(("goals", number, goal.constraints.items()) for number, goal in enumerate(goals)),
+        *(
+            ("error_values", slot, [(slot, text) for text in texts])
+            for slot, texts in error_values.items()
+        ),
+    ]
+    written: dict[tuple[str, str], list[tuple[str, int | str, str]]] = defaultdict(list)
+    for field, entry, pairs in entries:
+        for slot, text in pairs:
+            if isinstance(text, str):
+                written[slot, plain(text)].append((field, entry, text))
     found = []
     for (slot, key), items in written.items():
-        spellings = Counter(fold(text) for _, text in items)
+        spellings = Counter(fold(text) for *_, text in items)
         reserved = _RESERVED.get(key)
         if len(spellings) == 1 and (reserved is None or fold(reserved) in spellings):
             continue
         most = spellings.most_common(1)[0][0]
-        usual = reserved or next(text for _, text in items if fold(text) == most)
+        usual = reserved or next(text for *_, text in items if fold(text) == most)
         found += [
-            Misspelling(place, slot, text, usual)
-            for place, text in items
+            Misspelling(field, entry, slot, text, usual)
+            for field, entry, text in items
             if fold(text) != fold(usual)
         ]
     return found
-
-
-def _values(
-    records: Sequence[Mapping[str, str]],
-    goals: Sequence[Goal],
-    error_values: Mapping[str, Iterable[str]],
-) -> Iterator[tuple[Place, str, str]]:
-    """Yields (location, slot, value) for every value."""
-    for name, entries in (
-        ("records", records),
-        ("goals", [goal.constraints for goal in goals]),
-    ):
-        for number, entry in enumerate(entries):
-            for slot, text in entry.items():
-                yield (name, number), slot, text
-    for slot, texts in error_values.items():
-        for text in texts:
-            yield ("error_values", slot, text), slot, text

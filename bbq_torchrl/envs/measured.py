@@ -12,7 +12,7 @@ import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.domains.specification import RANDOM_POLICY
+from bbq_torchrl.domains.domain import RANDOM_POLICY
 from bbq_torchrl.envs.dialogue import DialogueEnv
 from bbq_torchrl.envs.policies import scripted_policy
 from bbq_torchrl.simulator import MeasuredErrors

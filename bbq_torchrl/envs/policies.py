@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 from tensordict.nn import TensorDictModuleBase
 
-from bbq_torchrl.domains.specification import PRIVILEGED_POLICY, RANDOM_POLICY
+from bbq_torchrl.domains.domain import PRIVILEGED_POLICY, RANDOM_POLICY
 from bbq_torchrl.domains.values import DONT_CARE, NONE
 from bbq_torchrl.envs.repair import RepairPolicy, indices
 from bbq_torchrl.simulator.choices import pack, popcount

@@ -8,7 +8,7 @@ from dataclasses import asdict, dataclass, field, fields, replace
 from statistics import fmean
 from typing import TYPE_CHECKING, Any, TypeVar
 
-from bbq_torchrl.domains.specification import RANDOM_POLICY
+from bbq_torchrl.domains.domain import RANDOM_POLICY
 from bbq_torchrl.utils.files import RESULT, write_text
 from bbq_torchrl.utils.statistics import binomial_standard_error
 from bbq_torchrl.utils.text import shown

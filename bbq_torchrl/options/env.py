@@ -240,7 +240,7 @@ class FullDomain(EnvOption):
 
     def references(self, domain: Domain | None) -> tuple[str, ...]:
         """The policy that knows the user's goal."""
-        from bbq_torchrl.domains.specification import PRIVILEGED_POLICY
+        from bbq_torchrl.domains.domain import PRIVILEGED_POLICY
 
         return (PRIVILEGED_POLICY,)
 

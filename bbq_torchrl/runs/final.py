@@ -10,7 +10,7 @@ from importlib.metadata import version
 from typing import TYPE_CHECKING
 
 import bbq_torchrl
-from bbq_torchrl.domains.specification import RANDOM_POLICY
+from bbq_torchrl.domains.domain import RANDOM_POLICY
 from bbq_torchrl.evaluation.curves import Metrics
 from bbq_torchrl.evaluation.figures import draw_run
 from bbq_torchrl.evaluation.finished_runs import Replica

@@ -14,7 +14,7 @@ from typing import TYPE_CHECKING
 import yaml
 from PIL import Image
 
-from bbq_torchrl.domains.specification import PRIVILEGED_POLICY, RANDOM_POLICY
+from bbq_torchrl.domains.domain import PRIVILEGED_POLICY, RANDOM_POLICY
 from bbq_torchrl.evaluation import comparison, pairs, table1
 from bbq_torchrl.evaluation.curves import rounds_to_reach
 from bbq_torchrl.evaluation.designs import ablations_report, grid_report

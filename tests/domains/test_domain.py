@@ -1,4 +1,4 @@
-"""Domains: consistent data is accepted, every inconsistency is refused by name."""
+"""Domains: consistent data is accepted, every inconsistency is refused by field and value."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ from dataclasses import replace
 import pytest
 
 from bbq_torchrl.domains import Action, Goal, ScriptedPolicySpec
+from bbq_torchrl.domains.faults import DomainError
 
 REQUESTED = [
     *("moviename", "theater", "starttime", "date", "numberofpeople", "genre", "state", "city"),
@@ -22,13 +23,8 @@ def test_movie_actions_are_slotless_acts_then_requests_then_informs(movie):
     expected += [f"request({slot})" for slot in REQUESTED]
     expected += [f"inform({slot})" for slot in [*informed, "taskcomplete", "ticket"]]
     assert list(movie.action_names) == expected
-
-
-def test_movie_extension_adds_ten_slots_that_have_actions(movie):
-    assert len(movie.extension_order) == 10
     assert list(movie.extension_order) == [s for s in REQUESTED if s not in movie.essential]
-    active = {*movie.essential, *movie.extension_order}
-    assert all(action.slot is None or action.slot in active for action in movie.actions)
+    assert len(movie.extension_order) == 10
 
 
 def test_rule_policy_is_the_eight_turns_of_the_reference_setting(movie):
@@ -43,7 +39,7 @@ def test_rule_policy_is_the_eight_turns_of_the_reference_setting(movie):
 def test_an_action_reads_as_act_and_slot():
     assert str(Action("thanks")) == "thanks"
     assert str(Action("multiple_choice", "city")) == "multiple_choice(city)"
-    with pytest.raises(ValueError, match=r"carry a slot in an action, got 'deny\(city\)'"):
+    with pytest.raises(ValueError, match=r"deny\(city\)"):
         Action("deny", "city")
 
 
@@ -53,73 +49,125 @@ def test_action_index_names_the_actions_where_there_is_no_such_one(restaurant):
         restaurant.action_index("request(moviename)")
 
 
+ACTS = ("request", "inform", "confirm_question", "confirm_answer", "greeting", "closing")
+ACTS += ("multiple_choice", "thanks", "deny")
 ACTIONS = (Action("thanks"), Action("request", "area"), Action("inform", "booking"))
-THANKS = ScriptedPolicySpec("script", ("thanks",))
 SLOTS = (
     *("table", "party_size", "cuisine", "area", "day", "hour", "price_range", "restaurant"),
     *("phone", "terrace", "booking"),
 )
 
 
-def actions(*first):
-    """The domain's actions, with the first ones replaced."""
-    return {"actions": (*first, *ACTIONS[len(first) :])}
+def policy(kind, *steps, name="x"):
+    return {name: ScriptedPolicySpec(kind, steps)}
 
 
-def careful(slot, kind="careful"):
-    return {"policies": {"x": ScriptedPolicySpec(kind, (slot,))}}
+FAULTS = [
+    ("name", "", "''"),
+    ("turn_width", 0, "from 1 to 1000"),
+    ("turn_width", 1001, "1001"),
+    ("turn_width", "wide", "'wide'"),
+    ("reference_slot_error_prob", 1.5, "1.5"),
+    ("reference_slot_error_prob", -0.5, "-0.5"),
+    ("reference_slot_error_prob", float("nan"), "nan"),
+    ("reference_slot_error_prob", "often", "'often'"),
+    ("records", (), "none"),
+    ("goals", (), "none"),
+    ("acts", (*ACTS, "a b"), "'a b'"),
+    ("acts", ACTS[:-1], "['deny'] are missing"),
+    ("acts", (*ACTS, "deny"), "distinct, got ['deny']"),
+    ("slots", (*SLOTS, "all"), "got 'all'"),
+    ("slots", (*SLOTS, "0"), "got '0'"),
+    ("slots", (*SLOTS, "a b"), "got 'a b'"),
+    ("slots", (*SLOTS, "area"), "distinct, got ['area']"),
+    ("essential", ("table", "booking", "table"), "distinct, got ['table']"),
+    ("essential", ("table", "booking", "zip"), "'zip'"),
+    ("extension_order", ("cuisine",), "['cuisine']"),
+    ("extension_order", ("zip",), "'zip'"),
+    ("extension_order", ("phone", "phone"), "distinct, got ['phone']"),
+    ("free_slots", ("garage", "table", "booking"), "'garage'"),
+    ("free_slots", ("table", "booking", "table"), "distinct, got ['table']"),
+    ("free_slots", SLOTS, "constrains the records"),
+    ("ticket_slot", "area", "among free_slots, 'area'"),
+    ("ticket_slot", "phone", "among essential, 'phone'"),
+    ("complete_slot", "phone", "among essential, 'phone'"),
+    ("complete_slot", "area", "among free_slots, 'area'"),
+    ("complete_slot", "table", "'table' for both"),
+    ("opening_slot", ("cuisine", "zip"), "'zip'"),
+    ("opening_slot", ("cuisine", "cuisine"), "distinct, got ['cuisine']"),
+    ("opening_slot", "table", "['table']"),
+    ("opening_slot", ("area", "booking"), "['booking']"),
+    ("actions", (*ACTIONS, ACTIONS[-1]), "distinct, got ['inform(booking)']"),
+    ("actions", ACTIONS[::-1], "slotless acts, then requests"),
+    ("actions", ACTIONS[:-1], "must contain inform(booking)"),
+    ("actions", ACTIONS[1:], "thanks or closing"),
+    ("actions", (Action("shrug"), *ACTIONS), "unknown act 'shrug'"),
+    ("actions", (*ACTIONS, Action("inform", "zip")), "unknown slot 'zip'"),
+    ("actions", (Action("inform"), *ACTIONS), "inform(slot)"),
+    ("actions", (ACTIONS[0], Action("request", "table"), ACTIONS[-1]), "request(table)"),
+    ("actions", (*ACTIONS, Action("multiple_choice", "booking")), "constrains booking"),
+    ("policies", policy("script"), "policies.x must have at least one step"),
+    ("policies", policy("play", "thanks"), "policies.x must be of kind"),
+    ("policies", policy("script", "shrug"), "policies.x needs the action 'shrug'"),
+    ("policies", policy("careful", "terrace"), "policies.x needs the action 'request(terrace)'"),
+    ("policies", policy("repair", "zip"), "policies.x names the unknown slot 'zip'"),
+    ("policies", policy("script", "thanks", name="random"), "'random'"),
+    ("policies", policy("script", "thanks", name="clairvoyant"), "'clairvoyant'"),
+    ("policies", policy("script", "thanks", name=""), "''"),
+    ("records", ({},), "at least one value"),
+    ("records", ({"zip": "1"},), "unknown slot 'zip'"),
+    ("records", ({"area": 3},), "area must be one line of text, not blank, got 3"),
+    ("records", ({"area": "no\nrth"},), "one line"),
+    ("records", ({"area": " "},), "not blank"),
+    ("records", ({"area": "so\u2028uth"},), "one line"),
+    ("records", ({"area": "\ud800"},), "UTF-8"),
+    ("records", ({"area": "I do not care"},), "reserved value 'I do not care'"),
+    ("records", ({"table": "x"},), "special slot 'table'"),
+    ("goals", (Goal({}, ("zip",)),), "unknown slot 'zip'"),
+    ("goals", (Goal({"zip": "1"}),), "unknown slot 'zip'"),
+    ("goals", (Goal({}, ("area", "area")),), "once, got ['area']"),
+    ("goals", (Goal({"area": "no match"}),), "reserved value 'no match'"),
+    ("goals", (Goal({"area": 3}),), "area must be one line of text, not blank, got 3"),
+    ("goals", (Goal({}, ("table",)),), "'table'"),
+    ("goals", (Goal({"booking": "x"}),), "'booking'"),
+    ("goals", (Goal({"area": "x"}, ("area",)),), "constrain and request the same slots ['area']"),
+    ("error_values", {"area": ("I do not care",)}, "reserved value 'I do not care'"),
+    ("error_values", {"area": ("north", " ")}, "area must be one line of text, not blank, got ' '"),
+    ("error_values", {"area": ()}, "area must list at least one value"),
+    ("error_values", {"zip": ("1",)}, "unknown slot 'zip'"),
+    ("error_values", {"booking": ("yes",)}, "special slot 'booking'"),
+]
 
 
-FAULTS = {
-    "act not a word": ({"acts": ("a b",)}, "identifiers.*a b"),
-    "slot all": ({"slots": (*SLOTS, "all")}, "slots must consist of letters.*got 'all'"),
-    "slot of digits": ({"slots": (*SLOTS, "0")}, "slots must consist of letters.*got '0'"),
-    "ticket not free": ({"free_slots": ("booking",)}, "ticket_slot must be among free_slots"),
-    "all slots free": ({"free_slots": SLOTS}, "leave a slot that constrains the records"),
-    "action twice": ({"actions": (*ACTIONS, ACTIONS[-1])}, r"distinct.*inform\(booking\)"),
-    "action order": ({"actions": ACTIONS[::-1]}, "slotless acts, then requests"),
-    "action act unknown": (actions(Action("shrug")), "unknown act 'shrug'"),
-    "action slot unknown": (
-        {"actions": (*ACTIONS, Action("inform", "zip"))},
-        "unknown slot 'zip'",
-    ),
-    "action without slot": (actions(Action("inform")), "needs a slot"),
-    "ticket requested": (actions(ACTIONS[0], Action("request", "table")), "constrains table"),
-    "policy empty": ({"policies": {"x": ScriptedPolicySpec("script", ())}}, "x.*one step"),
-    "policy request": (careful("terrace"), r"needs.*request\(terrace\)"),
-    "policy farewell": (actions(Action("closing")) | careful("area"), "needs the action 'thanks'"),
-    "policy confirm": (actions() | careful("area", "repair"), "needs the action 'confirm_answer'"),
-    "policy slot": (careful("zip", "repair"), "policies.x names the unknown slot 'zip'"),
-    "policy random": ({"policies": {"random": THANKS}}, "not have.*got 'random'"),
-    "policy clairvoyant": ({"policies": {"clairvoyant": THANKS}}, "not have.*got 'clairvoyant'"),
-    "policy without name": ({"policies": {"": THANKS}}, "not have.*got ''"),
-    "record slot": ({"records": ({"zip": "1"},)}, "record 0.*unknown slot 'zip'"),
-    "record number": ({"records": ({"area": 3},)}, "record 0.*area.*3"),
-    "goal request": ({"goals": (Goal({}, ("zip",)),)}, "goal 0.*unknown slot 'zip'"),
-    "values reserved": ({"error_values": {"area": ("I do not care",)}}, "reserved"),
-    "values special": ({"error_values": {"booking": ("yes",)}}, "special slot 'booking'"),
-}
-"""Faults that the damaged folders of test_folder.py do not cover."""
+@pytest.mark.parametrize(("field", "value", "named"), FAULTS)
+def test_a_fault_is_refused_by_field_and_value(restaurant, field, value, named):
+    with pytest.raises(DomainError) as caught:
+        replace(restaurant, **{field: value})
+    assert any(fault.field == field and named in fault.text for fault in caught.value.found)
 
 
-@pytest.mark.parametrize(("change", "message"), FAULTS.values(), ids=FAULTS)
-def test_a_fault_is_refused_by_name(restaurant, change, message):
-    with pytest.raises(ValueError, match=message):
-        replace(restaurant, **change)
+@pytest.mark.parametrize(
+    ("missing", "steps", "kind"),
+    [
+        ("thanks", ("area",), "careful"),
+        ("confirm_answer", ("area",), "repair"),
+        ("inform(table)", ("area",), "repair"),
+    ],
+)
+def test_a_policy_needs_its_actions(restaurant, missing, steps, kind):
+    actions = tuple(action for action in restaurant.actions if str(action) != missing)
+    with pytest.raises(DomainError) as caught:
+        replace(restaurant, actions=actions, policies=policy(kind, *steps))
+    (fault,) = caught.value.found
+    assert (fault.field, f"{missing!r}" in fault.text) == ("policies", True)
 
 
-@pytest.mark.parametrize("change", [{"goals": ()}, {"name": "", "turn_width": 0, "goals": ()}])
-def test_all_faults_are_refused_at_once_by_an_error_that_survives_pickling(restaurant, change):
-    texts = {
-        "name": "name of a domain must not be empty",
-        "turn_width": "turn_width must be between",
-        "goals": "the list of goals is empty",
-    }
-    with pytest.raises(ValueError, match="domain ") as caught:
-        replace(restaurant, **change)
+def test_all_faults_are_refused_at_once_by_an_error_that_survives_pickling(restaurant):
+    with pytest.raises(ValueError, match="has 4 faults") as caught:
+        replace(restaurant, name="", turn_width=0, goals=(Goal({}, ("zip",)), Goal({}, ("a",))))
     error = caught.value
-    assert all((text in str(error)) == (key in change) for key, text in texts.items())
-    assert ("has 3 faults" in str(error)) == (len(change) == 3)
+    assert [fault.field for fault in error.found] == ["name", "turn_width", "goals", "goals"]
+    assert "goal 1: " in str(error)
     other = pickle.loads(pickle.dumps(error))
     assert (str(other), other.found) == (str(error), error.found)
 

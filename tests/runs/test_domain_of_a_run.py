@@ -46,11 +46,9 @@ def test_a_result_says_what_of_a_corpus_was_left_out(played, tcbot, tmp_path_fac
     (corpus / "goals.p").write_bytes(pickle.dumps([both, goal, both], 0))
     with caplog.at_level(logging.WARNING):
         result, _ = played("domain=miulab", f"domain.path={corpus}", "domain.goals=goals.p")
-    assert result.skipped == (
-        "goals.p: 2 of 3 goals are left out wholly or in part",
-        "goals.p, goals 0, 2: it must not constrain and request the same slots ['city']",
-    )
-    assert all(any(text in told for told in caplog.messages) for text in result.skipped)
+    (text,) = result.skipped
+    assert text.startswith("goals.p, goals 0, 2: ")
+    assert any(text in told for told in caplog.messages)
 
 
 def test_whoever_trains_or_evaluates_is_told_of_values_that_never_match(
