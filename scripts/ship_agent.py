@@ -45,10 +45,8 @@ def ship(run: Path, target: Path, replica: int = 0) -> None:
     whole = make_agent(config, config.env.make(domain, (config.replicas, 1)))
     own = replace(config, replicas=1, resume=None)
     single = make_agent(own, own.env.make(domain, (1, 1)))
-    if (
-        CheckpointFolder(run / CHECKPOINTS, loss=whole.loss).restore(config_fingerprint(config))
-        is None
-    ):
+    saved = CheckpointFolder(run / CHECKPOINTS, loss=whole.loss)
+    if saved.restore(config_fingerprint(config)) is None:
         raise ValueError(f"{run} has no checkpoint")
     shapes = {name: value.shape for name, value in single.actor.state_dict().items()}
     state = {
@@ -62,7 +60,7 @@ def ship(run: Path, target: Path, replica: int = 0) -> None:
     shutil.copyfile(run / OVERRIDES, target / "overrides.yaml")
     write_json(result.only([replica]), target / RESULT)
     checkpoints = CheckpointFolder(target / CHECKPOINTS, actor=single.actor)
-    checkpoints.save(result.rounds, config_fingerprint(own))
+    checkpoints.save(result.rounds, {})
 
 
 def main() -> None:

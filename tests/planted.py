@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
+import io
 import json
-import shutil
 import zipfile
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import tensordict
-from tensordict import NonTensorData, NonTensorStack, TensorDict
+import torch
+from tensordict import NonTensorData, TensorDict
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -36,40 +35,37 @@ def rewritten(archive: Path, change: Callable[[dict[str, bytes]], object]) -> No
             new.writestr(name, content)
 
 
-def plant(archive: Path, marker: Path, file: str) -> None:
-    """Puts ``other.pickle`` or ``pickle.pkl`` where tensordict's loader finds it.
+def plant(archive: Path, marker: Path, *, as_tensordict: bool = False) -> None:
+    """Puts a pickle where torch's loader, or tensordict's, finds it.
 
     The archive stays whole: every checksum is right, and the manifest lists every file.
     """
-    rewritten(archive, partial(_put, marker, file, archive.parent / "planted"))
+
+    def put(members: dict[str, bytes]) -> None:
+        manifest = json.loads(members["manifest.json"])
+        record = manifest["components"][min(manifest["components"])]
+        file = f"{record['path']}/state.pt"
+        if not as_tensordict:
+            content = io.BytesIO()
+            torch.save(Payload(marker), content)
+            members[file] = content.getvalue()
+            return
+        del members[file]
+        folder = archive.parent.parent / "planted" / "state"
+        TensorDict({"planted": NonTensorData(Payload(marker))}).memmap(folder)
+        files = {f"state/{path.relative_to(folder)}": path for path in folder.rglob("*.*")}
+        assert any(name.endswith("other.pickle") for name in files)
+        for name, path in files.items():
+            members[f"{record['path']}/{name}"] = path.read_bytes()
+        members[f"{record['path']}/state.json"] = b"{}"
+        record["files"] = ["state.json", *files]
+        members["manifest.json"] = json.dumps(manifest).encode()
+
+    rewritten(archive, put)
 
 
-def _put(marker: Path, file: str, folder: Path, contents: dict[str, bytes]) -> None:
-    manifest = json.loads(contents["manifest.json"])
-    record = manifest["components"][min(manifest["components"])]
-    node = (
-        NonTensorData(Payload(marker))
-        if file == "other.pickle"
-        else NonTensorStack(*(NonTensorData(Payload(marker)) for _ in range(2)))
-    )
-    TensorDict({"planted": node}, batch_size=node.batch_size).memmap(folder)
-    meta = f"{record['path']}/state/meta.json"
-    described = json.loads(contents[meta])
-    described["planted"] = json.loads((folder / "meta.json").read_text())["planted"]
-    contents[meta] = json.dumps(described).encode()
-    for path in folder.rglob("*"):
-        name = path.relative_to(folder).as_posix()
-        if path.is_file() and name != "meta.json":
-            contents[f"{record['path']}/state/{name}"] = path.read_bytes()
-            record["files"].append(f"state/{name}")
-    assert any(name.endswith(file) for name in contents)
-    contents["manifest.json"] = json.dumps(manifest).encode()
-    shutil.rmtree(folder)
-
-
-def runs_code(archive: Path, folder: Path) -> None:
+def runs_code(archive: Path) -> None:
     """Loads what is planted in the way that nobody should."""
     with zipfile.ZipFile(archive) as file:
-        file.extractall(folder)
-    state = next(folder.glob("components/0000-*/state"))
-    tensordict.load(state, allow_pickle=True)
+        (state,) = (name for name in file.namelist() if name.endswith("state.pt"))
+        torch.load(io.BytesIO(file.read(state)), weights_only=False)

@@ -306,7 +306,8 @@ class ReplicaReplay:
             rows: dict[str, Tensor] = {}  # by flat name, each [rows, ...]
             if len(buffer):
                 stored = buffer.storage.get(slice(0, len(buffer))).select(*self.stored_keys)
-                rows = dict(stored.flatten_keys("/").items())
+                # cloned, as torch.save would write the whole storage of a view
+                rows = dict(stored.flatten_keys("/").clone().items())
             state[str(replica)] = {"rows": rows, "writer": buffer.writer.state_dict()}
         if self.transform is not None:
             state["transform"] = dict(self.transform.state_dict())

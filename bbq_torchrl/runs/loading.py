@@ -128,12 +128,13 @@ def trained_policy(
             raise not_evaluated
         best = BestWeights(policy, config.replicas)
     saved: dict[str, Any] = {"loss": agent.loss} if best is None else {"best": best}
+    fingerprint = config_fingerprint(config)
     if is_shipped(folder):
-        saved = {"actor": agent.actor}
-    found = CheckpointFolder(folder / CHECKPOINTS, **saved).restore(config_fingerprint(config))
-    if found is None:
+        saved, fingerprint = {"actor": agent.actor}, {}
+    rounds = CheckpointFolder(folder / CHECKPOINTS, **saved).restore(fingerprint)
+    if rounds is None:
         raise ConfigError(f"{folder} has no checkpoint yet")
-    enter_round(env, max(int(found[1]["round"]) - 1, 0))
+    enter_round(env, max(rounds - 1, 0))
     if best is not None:
         if bool((best.round < 0).any()):
             raise not_evaluated

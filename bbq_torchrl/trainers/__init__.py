@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from bbq_torchrl.protocols import EvaluationHook, ReplicaOptimizer, RoundEnv
-from bbq_torchrl.trainers.best_weights import BestWeights
-from bbq_torchrl.trainers.checkpoint import CheckpointFolder
+from bbq_torchrl.trainers.checkpoint import BestWeights, CheckpointFolder
 from bbq_torchrl.trainers.collect import (
     EpisodeStats,
     Policy,

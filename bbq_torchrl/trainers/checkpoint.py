@@ -1,51 +1,63 @@
-"""Checkpoints that survive kills, crashes and damaged disks.
+"""Checkpoints that survive kills, crashes and damaged disks, and the best weights in them.
 
-A checkpoint is one :class:`torchrl.checkpoint.Checkpoint` archive: a ZIP file of raw tensors and
-JSON, published by a rename. This module adds to TorchRL's ``CheckpointRotation``:
+A checkpoint is one :class:`torchrl.checkpoint.Checkpoint` archive, published by a rename: a ZIP
+file with a file of ``torch.save`` for each component. TorchRL's ``CheckpointRotation`` silently
+skips unreadable files, does not notice damaged tensors, and removes older checkpoints before the
+new one is synced to disk. Here every byte is checked (by the ZIP's CRC-32) before anything is
+loaded, a warning names a damaged file, and the previous checkpoint is used.
 
-- TorchRL silently skips unreadable files and does not notice damaged tensors. Here every byte is
-  checked (by the ZIP's CRC-32) before anything is loaded. A warning names a damaged file, and the
-  previous checkpoint is used.
-- TorchRL's loader unpickles. Here a file with anything but tensors and JSON is not loaded
-  (:mod:`bbq_torchrl.trainers.archive`).
-- TorchRL does not sync files to disk. Here the archive and its folder are synced before older
-  checkpoints are removed.
-- A process that is killed while it writes leaves a staging folder behind. The next one removes it.
+Files are loaded with ``weights_only``, and an archive with any other file is rejected, because
+TorchRL would load other formats by unpickling, which can run code.
 
 One process writes and any number may read: readers change nothing in the folder.
 """
 
 from __future__ import annotations
 
-import errno
+import io
 import logging
 import os
+import pickle
 import re
 import shutil
-import tempfile
-from contextlib import contextmanager
-from pathlib import Path
+import zipfile
 from textwrap import shorten
 from typing import TYPE_CHECKING, Any
 
 import torch
-from torch.utils import _pytree as pytree
-from torchrl.checkpoint import Checkpoint, CheckpointError
+from torch import Tensor
+from torchrl.checkpoint import Checkpoint, CheckpointError, StateDictCheckpointAdapter
 
-from bbq_torchrl.trainers.archive import TensorFiles, read_archive
 from bbq_torchrl.trainers.errors import CheckpointDamagedError, CheckpointMismatchError
-from bbq_torchrl.utils.files import is_utf8
-from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
+
+    from torch import nn
 
 _LOG = logging.getLogger(__name__)
-_SUFFIX = ".torchrl"
 _NAME = re.compile(r"round-(\d{6,})\.torchrl")
-_METADATA_SIZE = 1 << 20  # bytes, an upper bound for the JSON and folders of a checkpoint
-_REDUCED = "kept"  # name of a reduced checkpoint until it replaces the full one
-_LEFTOVER = re.compile(rf"{_REDUCED}\.torchrl|\..+\.torchrl\.(stage|archive|backup)-[0-9a-f]{{32}}")
+_REDUCED = "reduced"  # name of a reduced checkpoint until it replaces the full one
+
+
+class _TorchFile(StateDictCheckpointAdapter):
+    """TorchRL's adapter for files of ``torch.save``, written by Python.
+
+    Torch itself crashes on a full disk and cannot open every path.
+    """
+
+    def __init__(self) -> None:
+        super().__init__("torch")
+
+    def save(
+        self, component: Any, path: Path, *, args: tuple[Any, ...], kwargs: Mapping[str, Any]
+    ) -> None:
+        """Saves a component's state into its folder; the arguments are TorchRL's."""
+        content = io.BytesIO()
+        torch.save(component.state_dict(*args, **kwargs), content)
+        path.mkdir(parents=True)
+        (path / self.state_torch).write_bytes(content.getbuffer())
 
 
 class CheckpointFolder:
@@ -56,7 +68,7 @@ class CheckpointFolder:
         keep: the number of checkpoints to keep; None for all. Defaults to 2, so that one remains if
             the newest is damaged.
         **components: the objects to save and restore, by name, with ``state_dict`` and
-            ``load_state_dict`` of tensors and JSON values in dicts, lists and tuples.
+            ``load_state_dict`` of tensors and plain values.
 
     Examples:
         >>> from pathlib import Path
@@ -64,9 +76,9 @@ class CheckpointFolder:
         >>> from torch import nn
         >>> with TemporaryDirectory() as folder:
         ...     saved = CheckpointFolder(Path(folder), network=nn.Linear(2, 1)).save(3, {"seed": 0})
-        ...     path, metadata = CheckpointFolder(Path(folder)).newest()
-        ...     print(path.name, metadata)
-        round-000003.torchrl {'round': 3, 'seed': 0}
+        ...     path, fingerprint = CheckpointFolder(Path(folder)).newest()
+        ...     print(path.name, fingerprint)
+        round-000003.torchrl {'seed': 0}
     """
 
     def __init__(self, folder: Path, *, keep: int | None = 2, **components: Any) -> None:
@@ -74,27 +86,23 @@ class CheckpointFolder:
         self.keep = keep
         self._checkpoint = Checkpoint(format="archive")
         for name, component in components.items():
-            self._checkpoint.register(name, component, adapter=TensorFiles())
+            self._checkpoint.register(name, component, adapter=_TorchFile())
 
-    def save(self, rounds: int, metadata: Mapping[str, Any], *, name: str | None = None) -> Path:
+    def save(
+        self, rounds: int, config_fingerprint: Mapping[str, Any], *, name: str | None = None
+    ) -> Path:
         """Saves all components, then removes older checkpoints, and returns the file.
 
         Args:
             rounds: the number of finished rounds.
-            metadata: JSON values that can be read without loading the components.
+            config_fingerprint: settings that the components depend on, JSON values by name.
             name: a file name outside the rotation. Defaults to None, the name of the round.
 
         Raises:
             OSError: if the folder is not writable or the disk is full.
         """
-        path = self.folder / f"{name or f'round-{rounds:06d}'}{_SUFFIX}"
-        states = [part.state_dict() for part in self._checkpoint.components.values()]
-        tensors = [leaf for leaf in pytree.tree_leaves(states) if isinstance(leaf, torch.Tensor)]
-        # The tensors are written twice, staged and archived.
-        size = 2 * sum(tensor.nbytes for tensor in tensors) + _METADATA_SIZE
-        _check_disk_space(self.folder, size)
-        with _path_for_torch(self.folder) as folder:
-            self._checkpoint.save(folder / path.name, metadata={"round": rounds, **metadata})
+        path = self.folder / f"{name or f'round-{rounds:06d}'}.torchrl"
+        self._checkpoint.save(path, metadata=dict(config_fingerprint))
         _fsync(path)
         _fsync(self.folder)
         if self.keep is not None:
@@ -103,7 +111,7 @@ class CheckpointFolder:
         return path
 
     def newest(self) -> tuple[Path, dict[str, Any]] | None:
-        """Returns the newest readable checkpoint and its metadata, or None without checkpoints.
+        """Returns the newest readable checkpoint and its fingerprint, or None without checkpoints.
 
         A warning names damaged checkpoints.
 
@@ -118,15 +126,14 @@ class CheckpointFolder:
             _LOG.warning("using the previous checkpoint: %s", found[0])
         return found
 
-    def restore(self, expected: Mapping[str, Any]) -> tuple[Path, dict[str, Any]] | None:
-        """Restores all components from the newest readable checkpoint; None without checkpoints.
+    def restore(self, config_fingerprint: Mapping[str, Any]) -> int | None:
+        """Restores all components from the newest readable checkpoint.
 
         Args:
-            expected: metadata that the checkpoint must have. Entries that are missing in the
-                checkpoint (of an earlier version) are not compared.
+            config_fingerprint: settings that the checkpoint must have.
 
         Returns:
-            the file and its metadata.
+            the number of finished rounds, or None without checkpoints.
 
         Raises:
             CheckpointDamagedError: as in :meth:`newest`.
@@ -135,23 +142,23 @@ class CheckpointFolder:
         found = self.newest()
         if found is None:
             return None
-        path, metadata = found
-        _compare(path, metadata, expected)
+        path, saved = found
+        _compare(path, saved, config_fingerprint)
         try:
             self.load(path)
         except FileNotFoundError:
             if path.exists():
                 raise
-            return self.restore(expected)  # the writing process has saved a newer one
-        return found
+            return self.restore(config_fingerprint)  # the writing process has saved a newer one
+        return _rounds_of(path)
 
-    def check(self, expected: Mapping[str, Any], *components: str) -> bool:
+    def check(self, config_fingerprint: Mapping[str, Any], *components: str) -> bool:
         """Checks the newest readable checkpoint like :meth:`restore`; returns whether one exists.
 
         Nothing is loaded or logged.
 
         Args:
-            expected: as in :meth:`restore`.
+            config_fingerprint: as in :meth:`restore`.
             *components: the components that it must contain.
 
         Raises:
@@ -160,13 +167,14 @@ class CheckpointFolder:
         """
         found, _ = self._newest(components)
         if found is not None:
-            _compare(*found, expected)
+            _compare(*found, config_fingerprint)
         return found is not None
 
     def load(self, path: Path) -> None:
         """Restores all components from a checkpoint that :meth:`newest` returned.
 
         Raises:
+            CheckpointDamagedError: if it has more than tensors and plain values.
             CheckpointMismatchError: if it has another configuration.
         """
         # Each component moves its state to its device, as the run may continue on a machine without
@@ -174,13 +182,13 @@ class CheckpointFolder:
         try:
             self._checkpoint.load(path, map_location="cpu")
         except CheckpointError as error:
-            root: BaseException = error
-            while root.__cause__ is not None:
-                root = root.__cause__
+            if isinstance(error.__cause__, pickle.UnpicklingError):
+                raise CheckpointDamagedError(
+                    f"the checkpoint {path} has more than tensors and plain values, so it is not "
+                    "loaded: restore a good one, or start a new run"
+                ) from error
             # The message may include whole networks; its beginning is enough.
             reason = shorten(str(error), 200, placeholder=" ...")
-            if "size" in str(root):
-                reason = f"its networks have other shapes ({str(root).splitlines()[0]})"
             raise CheckpointMismatchError(
                 f"the checkpoint {path} is of another configuration: {reason}"
             ) from error
@@ -194,11 +202,11 @@ class CheckpointFolder:
         parts = self._checkpoint.components
         named = {name: part for name, part in parts.items() if name in names}
         reduced = CheckpointFolder(self.folder, keep=None, **named)
-        found = reduced.restore({})
+        found = reduced.newest()
         if found is not None:
-            path, metadata = found
-            saved = reduced.save(metadata.pop("round"), metadata, name=_REDUCED)
-            os.replace(saved, path)
+            path, fingerprint = found
+            reduced.load(path)
+            os.replace(reduced.save(0, fingerprint, name=_REDUCED), path)
             _fsync(self.folder)
             for other in self._files():
                 if other != path:
@@ -209,27 +217,19 @@ class CheckpointFolder:
 
         Only the writing process may call it, as another one would remove a save in progress.
         """
-        if not self.folder.is_dir():
-            return
-        for path in self.folder.iterdir():
-            if _LEFTOVER.fullmatch(path.name):
-                if path.is_dir() and not path.is_symlink():
-                    shutil.rmtree(path)
-                else:
-                    path.unlink()
+        for path in [*self.folder.glob(".*.torchrl.*"), *self.folder.glob(f"{_REDUCED}.torchrl")]:
+            shutil.rmtree(path) if path.is_dir() else path.unlink()
 
     def _newest(
         self, components: Iterable[str]
     ) -> tuple[tuple[Path, dict[str, Any]] | None, list[str]]:
-        """Returns the newest readable checkpoint with its metadata, and the damaged newer ones."""
+        """Returns the newest readable checkpoint with its fingerprint, and damaged newer ones."""
         damages: list[str] = []
         for path in self._files():
-            # Damage can raise any kind of error.
             try:
-                manifest = read_archive(path)
-                if (rounds := manifest["metadata"]["round"]) != _rounds_of(path):
-                    raise ValueError(f"it is of round {shown(rounds)}")
-            except Exception as error:
+                manifest = _read_manifest(path)
+                fingerprint = dict(manifest["metadata"])
+            except Exception as error:  # damage can raise any kind
                 if isinstance(error, FileNotFoundError) and not os.path.lexists(path):
                     return self._newest(components)  # the writing process has saved a newer one
                 reason = " ".join(str(error).split()) or type(error).__name__
@@ -242,7 +242,7 @@ class CheckpointFolder:
                     f"{', '.join(manifest['components'])}: to resume a run after its end, train it "
                     "with protocol.keep_checkpoints=last"
                 )
-            return (path, dict(manifest["metadata"])), damages
+            return (path, fingerprint), damages
         if damages:
             raise CheckpointDamagedError(
                 f"every checkpoint in {self.folder} is damaged ({'; '.join(damages)}): restore "
@@ -260,51 +260,37 @@ class CheckpointFolder:
 
 def _rounds_of(path: Path) -> int:
     """Returns the number of finished rounds from the name of a checkpoint."""
-    return int(path.name.removeprefix("round-").removesuffix(_SUFFIX))
+    return int(path.stem.removeprefix("round-"))
 
 
-def _compare(path: Path, metadata: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
-    """Raises CheckpointMismatchError for the first entry that differs."""
+def _read_manifest(path: Path) -> dict[str, Any]:
+    """Returns the manifest of an archive that is undamaged and has nothing but torch's files.
+
+    Raises:
+        FileNotFoundError: if the file does not exist.
+        Exception: any other if the archive is damaged or foreign.
+    """
+    with zipfile.ZipFile(path) as archive:
+        if (broken := archive.testzip()) is not None:
+            raise ValueError(f"{broken} in it does not match its checksum")
+        manifest = Checkpoint.manifest(path)
+        records = manifest["components"].values()
+        file = _TorchFile.state_torch
+        expected = ["manifest.json", *(f"{record['path']}/{file}" for record in records)]
+        if sorted(archive.namelist()) != sorted(expected):
+            raise ValueError("it lacks a file, or has one that belongs to no checkpoint")
+        if any(record["files"] != [file] for record in records):
+            raise ValueError("its manifest lists files that belong to no checkpoint")
+    return manifest
+
+
+def _compare(path: Path, saved: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
+    """Raises CheckpointMismatchError for the first setting that differs."""
     for name, value in expected.items():
-        if name in metadata and metadata[name] != value:
+        if saved.get(name) != value:
             raise CheckpointMismatchError(
-                f"{name} must be {metadata[name]}, as in the checkpoint {path}, got {value}"
+                f"{name} must be {saved.get(name)}, as in the checkpoint {path}, got {value}"
             )
-
-
-def _check_disk_space(folder: Path, size: int) -> None:
-    """Raises OSError if a folder's disk lacks room for ``size`` bytes; creates the folder.
-
-    TorchRL writes through memory maps: on a full disk these raise no error, but a signal kills the
-    process.
-    """
-    if not hasattr(os, "posix_fallocate"):
-        return
-    folder.mkdir(parents=True, exist_ok=True)
-    with tempfile.TemporaryFile(dir=folder) as file:
-        try:
-            os.posix_fallocate(file.fileno(), 0, size)
-        except OSError as error:
-            if error.errno not in (errno.EOPNOTSUPP, errno.EINVAL):
-                raise OSError(error.errno, error.strerror, os.fspath(folder)) from error
-
-
-@contextmanager
-def _path_for_torch(folder: Path) -> Iterator[Path]:
-    """Creates a folder and yields a path to it that torch can open.
-
-    Torch requires UTF-8 paths. For any other path it is the ASCII name that Linux has for every
-    open folder.
-    """
-    folder.mkdir(parents=True, exist_ok=True)
-    if is_utf8(folder):
-        yield folder
-        return
-    descriptor = os.open(folder, os.O_RDONLY)
-    try:
-        yield Path(f"/proc/self/fd/{descriptor}")
-    finally:
-        os.close(descriptor)
 
 
 def _fsync(path: Path) -> None:
@@ -314,3 +300,83 @@ def _fsync(path: Path) -> None:
         os.fsync(descriptor)
     finally:
         os.close(descriptor)
+
+
+class BestWeights:
+    """Stores a copy of a policy's weights for each replica at its best evaluation.
+
+    Checkpoints include it (``state_dict``), so a resumed training run knows the best of earlier
+    rounds.
+
+    Args:
+        policy: a policy with parameters [replicas, *] and constant buffers.
+        replicas: the number of replicas.
+
+    Attributes:
+        round: the round of each replica's best evaluation, int64 [replicas]; -1 before the first.
+        success_rate: the success rate in that round, float64 [replicas].
+
+    Examples:
+        >>> import torch
+        >>> policy = torch.nn.Module()
+        >>> policy.weight = torch.nn.Parameter(torch.tensor([[1.0], [1.0]]))
+        >>> best = BestWeights(policy, replicas=2)
+        >>> best.update(0, torch.tensor([0.3, 0.5]))
+        >>> _ = torch.nn.init.constant_(policy.weight, 2.0)
+        >>> best.update(1, torch.tensor([0.4, 0.2]))
+        >>> best.put_back()
+        >>> policy.weight.tolist(), best.round.tolist()
+        ([[2.0], [1.0]], [1, 0])
+    """
+
+    def __init__(self, policy: nn.Module, replicas: int) -> None:
+        self.round = torch.full((replicas,), -1)
+        self.success_rate = torch.zeros(replicas, dtype=torch.float64)
+        self._policy = policy
+        self._weights: dict[str, Tensor] = _weights(policy)
+
+    def update(self, round_number: int, success_rate: Tensor, *, since: int = 0) -> None:
+        """Copies the weights of replicas with a new best success rate.
+
+        Args:
+            round_number: the policy's round.
+            success_rate: the success rate of each replica, [replicas].
+            since: the first round that counts; an earlier best is replaced.
+        """
+        rate = success_rate.double().cpu()
+        better = (rate > self.success_rate) | (self.round < since)
+        self.round = torch.where(better, round_number, self.round)
+        self.success_rate = torch.where(better, rate, self.success_rate)
+        for name, now in _weights(self._policy).items():
+            best = self._weights[name]
+            best[better.to(best.device)] = now[better.to(now.device)]
+
+    def put_back(self) -> None:
+        """Loads the best weights into the policy.
+
+        Raises:
+            ValueError: before the first evaluation.
+        """
+        if bool((self.round < 0).any()):
+            raise ValueError("there are no best weights before the first evaluation while training")
+        self._policy.load_state_dict(self._weights, strict=False)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Returns rounds, success rates and weights."""
+        return {
+            "round": self.round,
+            "success_rate": self.success_rate,
+            "weights": dict(self._weights),
+        }
+
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
+        """Restores the state from :meth:`state_dict`."""
+        self.round = state_dict["round"].clone()
+        self.success_rate = state_dict["success_rate"].clone()
+        for name, best in self._weights.items():
+            best.copy_(state_dict["weights"][name])
+
+
+def _weights(policy: nn.Module) -> dict[str, Tensor]:
+    """Returns copies of a policy's parameters by name."""
+    return {name: weight.detach().clone() for name, weight in policy.named_parameters()}

@@ -182,9 +182,9 @@ class RoundTrainer:
         """
         self.checkpoints.remove_leftovers()
         if resume:
-            found = self.checkpoints.restore(self.config_fingerprint)
-            if found is not None:
-                self.rounds_done = self.rounds_saved = int(found[1]["round"])
+            rounds = self.checkpoints.restore(self.config_fingerprint)
+            if rounds is not None:
+                self.rounds_done = self.rounds_saved = rounds
                 return
             if self.metrics.path.exists():
                 raise CheckpointDamagedError.gone(self.run_folder)

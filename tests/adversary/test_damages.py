@@ -62,7 +62,7 @@ def swap(members, rng):
 
 
 def add(members, rng):
-    name = rng.choice(["state.pt", "x/other.pickle", "../../x", "/x", "components/x", "notes"])
+    name = rng.choice(["other.pt", "x/other.pickle", "../../x", "/x", "components/x", "notes"])
     members[name] = rng.randbytes(20)
 
 
@@ -111,16 +111,22 @@ def trainer(run, tmp_path_factory):
 
 def restored(trainer, folder):
     """The checkpoint resumed from, and checksums of the restored state; None if refused."""
-    built, described = trainer
+    built, fingerprint = trainer
     built.checkpoints.folder = folder
     try:
-        built.checkpoints.check(described, "replay")
-        path, _ = built.checkpoints.restore(described)
+        built.checkpoints.check(fingerprint, "replay")
+        rounds = built.checkpoints.restore(fingerprint)
     except (CheckpointDamagedError, CheckpointMismatchError):
         return None, None
-    parts = [built.loss.state_dict(), built.replay.state_dict(), built.optimizer.state_dict()]
+    parts = [
+        built.learner.loss.state_dict(),
+        built.replay.state_dict(),
+        built.learner.optimizer.state_dict(),
+    ]
     leaves = torch.utils._pytree.tree_leaves(parts)
-    return path.name, [leaf.double().sum() for leaf in leaves if isinstance(leaf, torch.Tensor)]
+    return f"round-{rounds:06d}.torchrl", [
+        leaf.double().sum() for leaf in leaves if isinstance(leaf, torch.Tensor)
+    ]
 
 
 def test_damaged_bytes_are_found_or_do_no_harm(run, trainer, tmp_path, rng, record_property):

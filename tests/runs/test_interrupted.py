@@ -21,7 +21,7 @@ from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import RunFolderGoneError
 from bbq_torchrl.utils import interruption
 
-from .trusted import DQN, resumed, state_of
+from .trusted import DQN, resumed
 
 pytestmark = pytest.mark.usefixtures("without_curves")
 
@@ -167,22 +167,6 @@ def test_who_handles_a_signal_already_goes_on_handling_it():
 def test_every_checkpoint_is_kept_on_request(tmp_path):
     run(compose([*DQN, "protocol.keep_checkpoints=all", "protocol.checkpoint_every=1"]), tmp_path)
     assert len(list((tmp_path / "checkpoint").glob("round-*"))) == 4
-
-
-def test_a_disk_without_room_is_an_error_before_the_first_byte(kept, monkeypatch):
-    """A memory map on a full disk is no error, it kills: so room is taken first."""
-    from bbq_torchrl.trainers import CheckpointFolder
-
-    def full(descriptor, offset, length):
-        assert length >= 1 << 20
-        raise OSError(28, "No space left on device")
-
-    monkeypatch.setattr(os, "posix_fallocate", full)
-    folder = CheckpointFolder(kept / "checkpoint")
-    before = state_of(kept)
-    with pytest.raises(OSError, match="No space left on device"):
-        folder.save(9, {})
-    assert state_of(kept) == before
 
 
 ORPHAN = """

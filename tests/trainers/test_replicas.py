@@ -220,18 +220,6 @@ def test_each_replica_keeps_the_weights_of_its_own_best_round_resumed_or_not():
     assert policy.weight.tolist() == [[1.0, 1.0], [4.0, 4.0], [0.0, 0.0]]
 
 
-def test_best_weights_of_when_an_actors_names_were_below_actor_are_read():
-    policy, best = new_best()
-    nn.init.constant_(policy.weight, 4.0)
-    best.update(0, torch.tensor([0.9, 0.9, 0.9]))
-    state = best.state_dict()
-    state["weights"] = {"actor.weight": state["weights"]["weight"]}
-    policy, other = new_best()
-    other.load_state_dict(state)
-    other.put_back()
-    assert policy.weight.tolist() == [[4.0, 4.0]] * 3
-
-
 def test_a_best_from_before_a_given_round_does_not_count():
     _, best = new_best()
     best.update(0, torch.tensor([0.9, 0.9, 0.9]))
