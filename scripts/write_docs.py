@@ -1,4 +1,4 @@
-"""Generates blocks in README.md and docs/ from code and from results/.
+"""Generates conf/<group>/ from the options, and blocks in README.md and docs/ from code and results/.
 
 A page marks a block by ``<!-- begin: name -->`` and ``<!-- end: name -->``. The text between the
 marks is replaced by the result of the function of that name.
@@ -19,6 +19,7 @@ ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # so that `python scripts/write_docs.py` finds its own package
 
 from scripts.docs_blocks import BLOCKS, draw_figures  # noqa: E402
+from scripts.docs_blocks.config import option_files  # noqa: E402
 
 _BLOCK = re.compile(r"(<!-- begin: (?P<name>[\w.-]+) -->\n).*?(<!-- end: (?P=name) -->)", re.DOTALL)
 
@@ -49,8 +50,12 @@ def rewrite(text: str, known: Mapping[str, Block], *, page: str = "the page") ->
 
 
 def outdated(known: Mapping[str, Block]) -> dict[Path, str]:
-    """Returns the outdated pages with their new text."""
-    changes = {}
+    """Returns the outdated pages and option files with their new text."""
+    changes = {
+        file: text
+        for file, text in option_files().items()
+        if not file.is_file() or file.read_text(encoding="utf-8") != text
+    }
     for page in pages():
         old = page.read_text(encoding="utf-8")
         new = rewrite(old, known, page=page.name)
@@ -70,6 +75,7 @@ def main() -> int:
         if check:
             sys.stderr.write(f"{name} is out of date: run python scripts/write_docs.py\n")
         else:
+            page.parent.mkdir(exist_ok=True)
             page.write_text(text, encoding="utf-8")
             sys.stdout.write(f"wrote {name}\n")
     if not check:

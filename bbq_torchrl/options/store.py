@@ -1,17 +1,23 @@
-"""Hydra's configuration store: the roots and all options, by group and name."""
+"""Hydra's configuration store: the roots, and the schema of every option.
+
+``conf/<group>/<option>.yaml`` has the keys of an option of ours with their defaults, and includes
+its schema, which has their types; ``scripts/write_docs.py`` writes these files. An option of your
+own needs no file.
+"""
 
 from __future__ import annotations
 
+from typing import Any
+
 from hydra.core.config_store import ConfigStore
 
-from bbq_torchrl.options.agent import AgentOption
-from bbq_torchrl.options.registry import schemas
+from bbq_torchrl.options.registry import Option, conf_folder, schemas
 from bbq_torchrl.options.root import CalibrateConfig, Config, EvaluateConfig
 
 ROOTS = {Config: "config", EvaluateConfig: "evaluate", CalibrateConfig: "calibrate"}
 """Schema of a root -> its YAML file."""
 
-_registered: set[tuple[str, str]] = set()
+_stored: set[type] = set()
 
 
 def register_options() -> None:
@@ -21,13 +27,17 @@ def register_options() -> None:
         store.store(name=f"_{name}", node=root)
     for group, known in schemas().items():
         for name, option in known.items():
-            if (group, name) in _registered:
+            if option in _stored:
                 continue
-            _registered.add((group, name))
-            if not issubclass(option, AgentOption):
-                store.store(group=group, name=name, node=option)
-                continue
-            # An agent chooses its default strategy.
-            own = {"override /explore@_global_.explore": option.explores_by}
-            store.store(group=group, name=f"_{name}", node=option)
-            store.store(group=group, name=name, node={"defaults": [f"_{name}", own, "_self_"]})
+            _stored.add(option)
+            store.store(name=f"_{group}_{name}", node=option)
+            if not (conf_folder() / group / f"{name}.yaml").is_file():
+                store.store(group=group, name=name, node={"defaults": defaults(option)})
+
+
+def defaults(option: type[Option]) -> list[Any]:
+    """Returns the defaults list of an option: its schema, and an agent's default strategy."""
+    schema = f"/_{option.group}_{option.name}@_here_"
+    chosen = getattr(option, "explores_by", None)
+    own = [{"override /explore@_global_.explore": chosen}] if chosen else []
+    return [schema, *own, "_self_"]

@@ -1,4 +1,4 @@
-"""Tables of configuration keys, from the options."""
+"""Tables of configuration keys, and the files of ``conf/<group>/``, from the options."""
 
 from __future__ import annotations
 
@@ -6,14 +6,20 @@ import inspect
 import json
 import re
 from dataclasses import MISSING, Field, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.options import CalibrateConfig, Config, EvaluateConfig, explorations, schemas
-from bbq_torchrl.options.registry import EXPERIMENT, options
+from bbq_torchrl.options.registry import EXPERIMENT, conf_folder, options
+from bbq_torchrl.options.store import defaults
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.search.definition import SEARCH, SearchConfig
 from bbq_torchrl.settings import REQUIRED
 from scripts.docs_blocks.common import block, code, table
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+    from bbq_torchrl.options import Option
 
 
 @block("config.root", Config)
@@ -57,10 +63,43 @@ def _table(columns: dict[str, type], prefix: str) -> str:
 
 
 def _default(item: Field[Any]) -> str:
+    written = _written(item)
+    return "none: must be given" if written == REQUIRED else code(written)
+
+
+def _written(item: Field[Any]) -> str:
+    """Returns a key's default as YAML."""
     value = item.default if item.default_factory is MISSING else item.default_factory()
-    if value == REQUIRED:
-        return "none: must be given"
-    return code(json.dumps(value) if value is None or isinstance(value, bool) else value)
+    return str(value) if isinstance(value, str) else json.dumps(value)
+
+
+def option_files() -> dict[Path, str]:
+    """Returns the files of ``conf/<group>/`` with their text, a key a line."""
+    folder = conf_folder()
+    return {
+        folder / group / f"{name}.yaml": _option_file(schema)
+        for group, known in schemas().items()
+        for name, schema in known.items()
+        if schema.__module__ == f"bbq_torchrl.options.{group}"
+    }
+
+
+def _option_file(schema: type[Option]) -> str:
+    place = f"{schema.__module__.replace('.', '/')}.py"
+    summary = " ".join((inspect.getdoc(schema) or "").split("\n\n")[0].split())
+    lines = [
+        f"# {summary}",
+        f"# The keys of {schema.__qualname__} in {place}; written by scripts/write_docs.py.",
+        "defaults:",
+    ]
+    for entry in defaults(schema):
+        (given,) = [entry] if isinstance(entry, str) else [": ".join(*entry.items())]
+        lines.append(f"  - {given}")
+    lines.append("")
+    for item in fields(schema):
+        comment = "" if item.name == "name" else f"  # {item.metadata['meaning']}"
+        lines.append(f"{item.name}: {_written(item)}{comment}")
+    return "\n".join(lines) + "\n"
 
 
 @block("config.pairs")
