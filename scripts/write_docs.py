@@ -1,4 +1,4 @@
-"""Generates conf/<group>/ from the options, and blocks in README.md and docs/ from code and results/.
+"""Generates conf/<group>/, and blocks in README.md and docs/, from code and results/.
 
 A page marks a block by ``<!-- begin: name -->`` and ``<!-- end: name -->``. The text between the
 marks is replaced by the result of the function of that name.

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from bbq_torchrl.options import registry, store
+from bbq_torchrl.options import registry
 
 
 @contextmanager
@@ -21,7 +21,6 @@ def own_options(*, packages=False):
     with pytest.MonkeyPatch.context() as patch:
         # The registry forgets nothing: outside of tests a process keeps what it has imported.
         patch.setattr(registry, "_OPTIONS", known)
-        patch.setattr(store, "_registered", set(store._registered))
         patch.setattr(sys, "path", list(sys.path))
         if packages:
             patch.setattr(registry, "_loaded", set())

@@ -101,7 +101,7 @@ def _parser() -> output.Parser:
         "--agents",
         nargs="+",
         default=[],
-        help="recipes, such as bbqn_map or baselines/double_dqn, or of your own: "
+        help="recipes of conf/experiment/agents, such as bbqn_map, or of your own: "
         "'<name>: agent=<option> <key>=<value> ...'",
     )
     parser.add_argument(

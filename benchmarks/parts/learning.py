@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 
 AGENTS: dict[str, tuple[str, ...]] = {
     "dqn": ("+experiment=agents/dqn",),
-    "double dqn": ("+experiment=baselines/double_dqn",),
-    "noisy dqn": ("+experiment=baselines/noisy_dqn",),
+    "double dqn": ("+experiment=agents/double_dqn",),
+    "noisy dqn": ("+experiment=agents/noisy_dqn",),
     "bootstrap, 10 heads": ("+experiment=agents/dqn_bootstrap",),
     "bbqn-map": ("+experiment=agents/bbqn_map",),
     "bbqn-mc": ("+experiment=agents/bbqn_mc",),

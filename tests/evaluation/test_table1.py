@@ -23,17 +23,16 @@ def runs(add):
     return [add(GOOD, eval_every=1), add(BAD, **DQN)]
 
 
-def test_every_cell_has_a_recipe():
-    recipes = {name for name in options("experiment") if name.startswith("table1/")}
-    agents = {name.replace("-", "_").lower() for name in PAPER["full"]}
-    agents |= {"bbqn_map_soft", "gp"}  # ours, in addition to the paper's nine
-    assert recipes == {f"table1/{env}_{name}" for env in ("full", "extension") for name in agents}
-    for recipe, env, rounds in (
-        ("full_dqn_vime_mc", "full", 150),
-        ("extension_bbqn_map", "domain_ext", 200),
-    ):
-        config = compose([f"+experiment=table1/{recipe}"])
-        assert (config.env.name, config.protocol.rounds, config.replicas) == (env, rounds, 5)
+@pytest.mark.parametrize(
+    ("setting", "env", "rounds"),
+    [("table1_full", "full", 150), ("table1_extension", "domain_ext", 200)],
+)
+def test_every_cell_has_a_recipe(setting, env, rounds):
+    agents = {f"agents/{name.replace('-', '_').lower()}" for name in PAPER["full"]}
+    assert agents <= set(options("experiment"))
+    config = compose([f"+experiment=[agents/bbqn_map,{setting}]"])
+    assert (config.env.name, config.protocol.rounds, config.replicas) == (env, rounds, 5)
+    assert (config.agent.std_init, config.protocol.batch_size) == (0.09, 128)
 
 
 def test_the_papers_number_stands_beside_ours_and_what_is_missing_is_named(runs, report):

@@ -27,8 +27,8 @@ AGENTS = {
         name: (f"+experiment=agents/{name}",)
         for name in ("bbqn_map", "bbqn_mc", "bbqn_vime_mc", "dqn", "dqn_bootstrap", "dqn_vime_map")
     },
-    "noisy_dqn": ("+experiment=baselines/noisy_dqn",),
-    "double_dqn": ("+experiment=baselines/double_dqn",),
+    "noisy_dqn": ("+experiment=agents/noisy_dqn",),
+    "double_dqn": ("+experiment=agents/double_dqn",),
     "shared target noise": ("agent=bbqn", "agent.target=mc", "agent.target_noise=shared"),
     "sampled KL": ("agent=bbqn", "agent.kl=sampled"),
     "separate heads with priors": (
