@@ -13,6 +13,7 @@ from __future__ import annotations
 import csv
 import io
 import json
+from dataclasses import dataclass
 from functools import cache, partial
 from os.path import expanduser
 from pathlib import Path
@@ -23,7 +24,17 @@ import yaml
 from bbq_torchrl.domains.domain import ACTION_KINDS, Action, Domain, Goal, ScriptedPolicySpec
 from bbq_torchrl.domains.faults import DomainError, Fault, Source, sentences
 from bbq_torchrl.domains.values import DIFFERENCE, RESERVED_TEXT, misspellings, plain
-from bbq_torchrl.settings import TEXT, TEXTS, Allowed, check
+from bbq_torchrl.settings import (
+    MAPPING,
+    REQUIRED,
+    TEXT,
+    TEXTS,
+    Allowed,
+    check,
+    faults,
+    filled,
+    setting,
+)
 from bbq_torchrl.utils.files import read_yaml
 from bbq_torchrl.utils.text import FaultsError, shown
 
@@ -45,39 +56,60 @@ MOVIE_FOLDER = SHIPPED["movie"]
 Corpus = dict[str, dict[Any, Any]]
 """The fields ``records``, ``goals`` and ``error_values``, each entry by its line, row or slot."""
 
-_NAMES = ("acts", "slots", "essential", "extension_order", "free_slots")
 _ANY = Allowed("anything", lambda value: True)  # Domain checks it
-_MAPPING = Allowed("a mapping", lambda value: isinstance(value, dict))
-_FORM: dict[str, Allowed] = {
-    "name": TEXT,
-    **dict.fromkeys(_NAMES, TEXTS),
-    "actions": Allowed(
-        "lists of names by act, request, inform and, optionally, multiple_choice",
-        lambda value: (
-            isinstance(value, dict)
-            and {*ACTION_KINDS[:3]} <= {*value} <= {*ACTION_KINDS}
-            and all(map(TEXTS.test, value.values()))
-        ),
-    ),
-    "ticket_slot": TEXT,
-    "complete_slot": TEXT,
-    "opening_slot": Allowed(
-        "a slot, a list of slots or null",
-        lambda value: value is None or TEXT.test(value) or TEXTS.test(value),
-    ),
-    "turn_width": _ANY,
-    "policies": _MAPPING,
-    "reference_slot_error_prob": _ANY,
-}
-_POLICY = Allowed(
-    "a mapping with the keys kind, a text, and steps, a list of names",
-    lambda value: (
-        isinstance(value, dict)
-        and {*value} == {"kind", "steps"}
-        and TEXT.test(value["kind"])
-        and TEXTS.test(value["steps"])
-    ),
+_OPENING = Allowed(
+    "a slot, a list of slots or null",
+    lambda value: value is None or TEXT.test(value) or TEXTS.test(value),
 )
+_LISTS = Allowed(
+    "a mapping from slots to values, not empty, as errors have no effect without values",
+    lambda value: MAPPING.test(value) and bool(value),
+)
+
+
+@dataclass
+class _Specification:
+    """The keys of ``domain.yaml``."""
+
+    name: str = setting(REQUIRED, TEXT, "name in results")
+    acts: list[str] = setting(REQUIRED, TEXTS, "dialogue acts")
+    slots: list[str] = setting(REQUIRED, TEXTS, "slots, in the order of features")
+    actions: Any = setting(REQUIRED, MAPPING, "acts, then slots by act")
+    essential: list[str] = setting(REQUIRED, TEXTS, "slots that are active from the first round")
+    extension_order: list[str] = setting(REQUIRED, TEXTS, "slots that domain extension adds")
+    free_slots: list[str] = setting(REQUIRED, TEXTS, "slots that never constrain the records")
+    ticket_slot: str = setting(REQUIRED, TEXT, "the booking")
+    complete_slot: str = setting(REQUIRED, TEXT, "the slot whose inform offers a booking")
+    opening_slot: Any = setting(None, _OPENING, "slots informed in every first turn")
+    turn_width: int = setting(REQUIRED, _ANY, "length of the one-hot turn")
+    policies: Any = setting(REQUIRED, MAPPING, "scripted policies by name")
+    reference_slot_error_prob: float = setting(REQUIRED, _ANY, "the calibrated difficulty")
+
+
+@dataclass
+class _Actions:
+    """The keys of ``actions``."""
+
+    act: list[str] = setting(REQUIRED, TEXTS, "acts without a slot")
+    request: list[str] = setting(REQUIRED, TEXTS, "slots that can be requested")
+    inform: list[str] = setting(REQUIRED, TEXTS, "slots that can be informed")
+    multiple_choice: list[str] = setting([], TEXTS, "slots of which values can be offered")
+
+
+@dataclass
+class _Policy:
+    """The keys of a scripted policy."""
+
+    kind: str = setting(REQUIRED, TEXT, "kind of policy")
+    steps: list[str] = setting(REQUIRED, TEXTS, "actions of a script, slots of another policy")
+
+
+@dataclass
+class _Goal:
+    """The keys of a goal."""
+
+    constraints: Any = setting(REQUIRED, MAPPING, "slot to value")
+    requests: list[str] = setting(REQUIRED, TEXTS, "the slots asked for")
 
 
 def load_domain(path: str | Path) -> Domain:
@@ -166,25 +198,27 @@ def _tell(damage: list[str], name: str, text: str, line: int | None = None) -> N
 
 def _specification(text: str, tell: _Tell) -> dict[str, Any]:
     """Reads ``domain.yaml``: all fields of a domain but those of a corpus."""
-    content = check("the file", read_yaml(text), _MAPPING)
-    given = {"opening_slot": None, **content}
-    for key in given.keys() - _FORM.keys():
-        tell(f"it has the unknown key {shown(key)}; allowed are {', '.join(_FORM)}")
-    if missing := [key for key in _FORM if key not in given]:
-        raise ValueError(f"it lacks the keys {', '.join(missing)}")
-    for key, allowed in _FORM.items():
-        check(key, given[key], allowed)
-    for name, policy in given["policies"].items():
-        check(f"policies.{name}", policy, _POLICY)
-    acts = [Action(act) for act in given["actions"]["act"]]
+    content = check("the file", read_yaml(text), MAPPING)
+    found = faults(_Specification, content)
+    if not found:
+        found = faults(_Actions, content["actions"], "actions.")
+        for name, policy in content["policies"].items():
+            key = f"policies.{name}"
+            found |= faults(_Policy, check(key, policy, MAPPING), f"{key}.")
+    if found:
+        for fault in found.values():
+            tell(fault)
+        return {}
+    acts = [Action(act) for act in content["actions"]["act"]]
     for kind in ACTION_KINDS[1:]:
-        acts += [Action(kind, slot) for slot in given["actions"].get(kind, [])]
+        acts += [Action(kind, slot) for slot in content["actions"].get(kind, [])]
+    fields = vars(_Specification(**content))
     return {
-        **{key: tuple(item) if isinstance(item, list) else item for key, item in given.items()},
+        **{key: tuple(item) if isinstance(item, list) else item for key, item in fields.items()},
         "actions": tuple(acts),
         "policies": {
             str(name): ScriptedPolicySpec(policy["kind"], tuple(policy["steps"]))
-            for name, policy in given["policies"].items()
+            for name, policy in content["policies"].items()
         },
     }
 
@@ -237,8 +271,8 @@ def _goals(text: str, tell: _Tell) -> dict[int, Goal]:
     # Not splitlines, which also breaks at characters that JSON allows inside a text.
     for line, written in enumerate(text.removesuffix("\n").split("\n") if text else (), start=1):
         try:
-            goal = check("a goal", _json(written), _GOAL)
-            goals[line] = Goal(goal["constraints"], tuple(goal["requests"]))
+            goal = filled(_Goal, check("a goal", _json(written), MAPPING))
+            goals[line] = Goal(goal.constraints, tuple(goal.requests))
         except ValueError as error:
             tell(str(error), line)
     return goals
@@ -247,22 +281,7 @@ def _goals(text: str, tell: _Tell) -> dict[int, Goal]:
 def _values(text: str, tell: _Tell) -> dict[str, tuple[str, ...]]:
     """Reads the values that errors substitute: ``{slot: [values]}``."""
     lists = check("the file", _json(text), _LISTS)
-    return {slot: tuple(values) for slot, values in lists.items()}
-
-
-_GOAL = Allowed(
-    '{"constraints": {slot: value}, "requests": [slots]}',
-    lambda value: (
-        isinstance(value, dict)
-        and {*value} == {"constraints", "requests"}
-        and isinstance(value["constraints"], dict)
-        and TEXTS.test(value["requests"])
-    ),
-)
-_LISTS = Allowed(
-    "{slot: [values]} with at least one slot, as errors have no effect without values",
-    lambda value: isinstance(value, dict) and bool(value) and all(map(TEXTS.test, value.values())),
-)
+    return {slot: tuple(check(slot, values, TEXTS)) for slot, values in lists.items()}
 
 
 def _json(text: str) -> Any:

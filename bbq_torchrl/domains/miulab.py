@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import io
 import pickle
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from functools import partial
 from os.path import expanduser
 from pathlib import Path
@@ -18,7 +18,17 @@ from bbq_torchrl.domains.domain import Goal
 from bbq_torchrl.domains.faults import DomainError, Fault, Source, sentences
 from bbq_torchrl.domains.folder import content_of, shipped_domain
 from bbq_torchrl.domains.values import DIFFERENCE, misspellings
-from bbq_torchrl.settings import TEXT, TEXTS, Allowed, check, one_of
+from bbq_torchrl.settings import (
+    MAPPING,
+    REQUIRED,
+    TEXT,
+    TEXTS,
+    Allowed,
+    check,
+    filled,
+    one_of,
+    setting,
+)
 from bbq_torchrl.utils.text import FaultsError, sentence
 
 if TYPE_CHECKING:
@@ -34,7 +44,6 @@ dialogues on the default files. At 0.058 it succeeded in 18.31 % of 500,000; the
 """
 
 _UNITS = {"records": "row", "goals": "goal", "error_values": "slot"}
-_UNKNOWN = "UNK"
 
 
 def _has_keys(content: object, kind: type) -> bool:
@@ -46,16 +55,23 @@ _LIST = Allowed("a list", lambda content: isinstance(content, list))
 _LISTS = Allowed(
     "a dict of lists by slot, not empty", lambda content: bool(content) and _has_keys(content, str)
 )
-_TEXTS = Allowed(
+_BY_SLOT = Allowed(
     "a dict of texts by slot",
     lambda content: _has_keys(content, str) and all(map(TEXT.test, content.values())),
 )
-_GOAL = Allowed(
-    "a dict with the keys diaact, inform_slots and request_slots",
-    lambda content: (
-        isinstance(content, dict) and {*content} == {"diaact", "inform_slots", "request_slots"}
-    ),
+_REQUESTS = Allowed(
+    "a dict of 'UNK' by slot",
+    lambda content: _BY_SLOT.test(content) and all(map(one_of("UNK", "").test, content.values())),
 )
+
+
+@dataclass
+class _Goal:
+    """The keys of a goal."""
+
+    diaact: str = setting(REQUIRED, one_of("request"), "the user's first act")
+    inform_slots: Any = setting(REQUIRED, _BY_SLOT, "slot to value")
+    request_slots: Any = setting(REQUIRED, _REQUESTS, "the slots asked for")
 
 
 class _PlainUnpickler(pickle.Unpickler):
@@ -248,16 +264,13 @@ def _read(path: Path, allowed: Allowed) -> Any:
 
 def _texts(where: str, content: object) -> dict[str, str]:
     """Returns the values by slot, without blank ones."""
-    return {slot: text for slot, text in check(where, content, _TEXTS).items() if text.strip()}
+    return {slot: text for slot, text in check(where, content, _BY_SLOT).items() if text.strip()}
 
 
 def _goal(where: str, content: object, ticket: str) -> Goal:
-    goal = check(where, content, _GOAL)
-    check(f"{where}, diaact", goal["diaact"], one_of("request"))
-    requests = _texts(f"{where}, request_slots", goal["request_slots"])
-    for slot, value in requests.items():
-        check(f"{where}, request_slots, {slot}", value, one_of(_UNKNOWN))
+    goal = filled(_Goal, check(where, content, MAPPING), f"{where}, ")
+    requests = _texts("request_slots", goal.request_slots)
     return Goal(
-        constraints=_texts(f"{where}, inform_slots", goal["inform_slots"]),
+        constraints=_texts("inform_slots", goal.inform_slots),
         requests=tuple(slot for slot in requests if slot != ticket),
     )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from bbq_torchrl.domains.specification import PRIVILEGED_POLICY
+from bbq_torchrl.domains.domain import PRIVILEGED_POLICY
 from bbq_torchrl.evaluation import pairs, table1
 from bbq_torchrl.utils.statistics import estimate
 from scripts.docs_blocks.common import block, read_json, short, table

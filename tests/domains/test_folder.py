@@ -96,7 +96,7 @@ def test_a_missing_file_is_named(folder, names):
 
 EDITED = [
     (YAML, "name: restaurant", "name: 3", ["name", "3"]),
-    (YAML, "name: restaurant", "nam: restaurant", ["'nam'", "name"]),
+    (YAML, "name: restaurant", "nam: restaurant", ["nam is not a key", "name must be given"]),
     (YAML, "turn_width: 24", "turn_width: true", ["turn_width", "True"]),
     (YAML, "turn_width: 24", "turn_width: 24\nturn_width: 4", ["turn_width"]),
     (YAML, "opening_slot: null", "opening_slot: 3", ["opening_slot", "3"]),

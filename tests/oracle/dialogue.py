@@ -16,8 +16,7 @@ from .user import User
 from .values import plain
 
 if TYPE_CHECKING:
-    from bbq_torchrl.domains.domain import Domain
-    from bbq_torchrl.domains.domain import Action
+    from bbq_torchrl.domains.domain import Action, Domain
     from bbq_torchrl.simulator import Profile
 
 SUCCESS_REWARD = 40.0
