@@ -48,8 +48,8 @@ class AgentOption(Option):
     """A Q-network with hidden layers, trained by Adam.
 
     Attributes:
-        offers: the features that exploration can use: any of ``posterior``, ``heads``, ``noise``,
-            ``values`` (a Q-value for each action), or a word that your strategy needs.
+        provides: the features that exploration can use: any of ``posterior``, ``heads``, ``noise``,
+            ``values`` (a Q-value for each action), or a word that your strategy requires.
         explores_by: the default strategy.
         modes: the modes of :meth:`make_evaluation`, if the agent has several policies.
     """
@@ -60,7 +60,7 @@ class AgentOption(Option):
     lr: Values = setting("${protocol.lr}", per_replica(STEP_SIZE), "learning rate of Adam")
     gamma: Values = setting(0.9, per_replica(PROBABILITY), "discount of a turn")
 
-    offers: ClassVar[tuple[str, ...]] = ("values",)
+    provides: ClassVar[tuple[str, ...]] = ("values",)
     explores_by: ClassVar[str] = "epsilon_greedy"
     modes: ClassVar[tuple[str, ...]] = ()
     weight_decay = 0.0  # no key, unless an agent makes it one
@@ -165,7 +165,7 @@ class BBQN(AgentOption):
     )
     evaluate_draws: int = setting(10, SIZE, "number of draws that evaluate=average averages")
 
-    offers: ClassVar[tuple[str, ...]] = ("posterior", "values")
+    provides: ClassVar[tuple[str, ...]] = ("posterior", "values")
     explores_by: ClassVar[str] = "thompson_boltzmann"
     modes: ClassVar[tuple[str, ...]] = EVALUATION_MODES
 
@@ -243,7 +243,7 @@ class Bootstrap(AgentOption):
     double: bool = setting(False, BOOLEAN, "choose the target's action by the online head")
 
     # The greedy action is a majority vote of the heads, which has no values for a softmax.
-    offers: ClassVar[tuple[str, ...]] = ("heads",)
+    provides: ClassVar[tuple[str, ...]] = ("heads",)
     explores_by: ClassVar[str] = "bootstrap"
 
     def check(self) -> None:
@@ -341,7 +341,7 @@ class GP(AgentOption):
         "values of the next states: the posterior's mean, or one draw of it in all sweeps",
     )
 
-    offers: ClassVar[tuple[str, ...]] = ("posterior", "values")
+    provides: ClassVar[tuple[str, ...]] = ("posterior", "values")
     explores_by: ClassVar[str] = "thompson"
     modes: ClassVar[tuple[str, ...]] = EVALUATION_MODES
 
@@ -416,7 +416,7 @@ class DQN(AgentOption):
     double: bool = setting(False, BOOLEAN, "choose the target's action by the online network")
     noisy: bool = setting(False, BOOLEAN, "NoisyNet layers instead of dropout")
 
-    offers: ClassVar[tuple[str, ...]] = ("values", "noise")
+    provides: ClassVar[tuple[str, ...]] = ("values", "noise")
 
     def check(self) -> None:
         """Refuses noise together with dropout."""

@@ -42,7 +42,7 @@ class ExploreOption(Option):
     """The policy that acts while the agent learns.
 
     Attributes:
-        needs: the features that an agent must offer (:attr:`AgentOption.offers`).
+        requires: the features that an agent must provide (:attr:`AgentOption.provides`).
     """
 
     group: ClassVar[str] = "explore"
@@ -51,7 +51,7 @@ class ExploreOption(Option):
         False, BOOLEAN, "play uniformly at random until a replica's first success in training"
     )
 
-    needs: ClassVar[tuple[str, ...]] = ()
+    requires: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
@@ -144,7 +144,7 @@ class BoltzmannActing(ExploreOption):
         0.5, PROBABILITY, "share of the rounds over which the temperature falls linearly"
     )
 
-    needs: ClassVar[tuple[str, ...]] = ("values",)
+    requires: ClassVar[tuple[str, ...]] = ("values",)
 
     def check(self) -> None:
         """Refuses a temperature that rises."""
@@ -177,7 +177,7 @@ class Thompson(ExploreOption):
     per: str = setting("step", one_of("step", "episode", "round"), "duration of a weight draw")
     shared: bool = setting(False, BOOLEAN, "one draw for all parallel dialogues")
 
-    needs: ClassVar[tuple[str, ...]] = ("posterior",)
+    requires: ClassVar[tuple[str, ...]] = ("posterior",)
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
         """The module that draws weights."""
@@ -189,7 +189,7 @@ class Thompson(ExploreOption):
 class _OnWeightDraws:
     """A strategy on the values of a weight draw; precedes that strategy and Thompson."""
 
-    needs: ClassVar[tuple[str, ...]] = Thompson.needs
+    requires: ClassVar[tuple[str, ...]] = Thompson.requires
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
         """The module that draws weights, followed by the strategy's module."""
@@ -222,7 +222,7 @@ class BootstrapActing(ExploreOption):
     name: str = option("bootstrap")
     per: str = setting("episode", one_of("step", "episode", "round"), "duration of a head draw")
 
-    needs: ClassVar[tuple[str, ...]] = ("heads",)
+    requires: ClassVar[tuple[str, ...]] = ("heads",)
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
         """The module that draws a head."""
@@ -239,7 +239,7 @@ class NoisyActing(ExploreOption):
     name: str = option("noisy")
     shared: bool = setting(False, BOOLEAN, "one draw for all parallel dialogues")
 
-    needs: ClassVar[tuple[str, ...]] = ("noise",)
+    requires: ClassVar[tuple[str, ...]] = ("noise",)
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
         """The module that draws noise."""

@@ -222,7 +222,7 @@ def options(group: str) -> list[str]:
 def explorations() -> dict[str, tuple[str, ...]]:
     """Returns the strategies that each agent can use, its default first.
 
-    An agent can use a strategy if it offers everything that the strategy needs.
+    An agent can use a strategy if it provides everything that the strategy requires.
 
     Raises:
         ConfigError: an agent cannot use its default strategy.
@@ -234,12 +234,12 @@ def explorations() -> dict[str, tuple[str, ...]]:
         able = [
             other
             for other, explore in known["explore"].items()
-            if set(explore.needs) <= set(agent.offers)  # type: ignore[attr-defined]
+            if set(explore.requires) <= set(agent.provides)  # type: ignore[attr-defined]
         ]
         if default not in able:
             raise ConfigError(
-                f"{_where(agent)}.explores_by must be one of {', '.join(able)}, which need only "
-                f"what the agent offers, got {default!r}"
+                f"{_where(agent)}.explores_by must be one of {', '.join(able)}, which require only "
+                f"what the agent provides, got {default!r}"
             )
         found[name] = (default, *(other for other in able if other != default))
     return found

@@ -211,7 +211,7 @@ def _check_lists(config: Config) -> None:
 def _check_noise(config: Config) -> None:
     """Refuses a strategy that needs noise for a network without noise."""
     agent, explore = config.agent, config.explore
-    if isinstance(agent, DQN) and "noise" in explore.needs and not agent.noisy:
+    if isinstance(agent, DQN) and "noise" in explore.requires and not agent.noisy:
         raise ConfigError(
             f"explore={explore.name} needs a network with noise: agent.noisy must be true"
         )

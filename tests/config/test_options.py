@@ -48,7 +48,7 @@ class Narrow(ExploreOption):
     patience: int = setting(3, COUNT, "rounds, $5 each")
     anneal_rounds: int = setting(2, COUNT, "a key that one of 0.1.0 has, too")
 
-    needs: ClassVar[tuple[str, ...]] = ("posterior",)
+    requires: ClassVar[tuple[str, ...]] = ("posterior",)
 
     def make(self, actor, greedy, task):
         return greedy, {"patience": lambda: self.patience}

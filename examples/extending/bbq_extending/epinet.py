@@ -28,7 +28,7 @@ class Epinet(AgentOption):
     prior_hidden: list[int] = setting([16], COUNTS, "units of each hidden layer of a prior")
     prior_scale: float = setting(1.0, NON_NEGATIVE, "factor of the priors, which never learn")
 
-    offers: ClassVar[tuple[str, ...]] = ("index",)
+    provides: ClassVar[tuple[str, ...]] = ("index",)
     explores_by: ClassVar[str] = "index"
 
     def make_actor(self, task: Task) -> QValueActor:
@@ -76,7 +76,7 @@ class IndexActing(ExploreOption):
 
     name: str = option("index")
 
-    needs: ClassVar[tuple[str, ...]] = ("index",)
+    requires: ClassVar[tuple[str, ...]] = ("index",)
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
         """The module that draws."""

@@ -42,7 +42,7 @@ class Langevin(AgentOption):
     )
     double: bool = setting(True, BOOLEAN, "choose the target's action by the online network")
 
-    offers: ClassVar[tuple[str, ...]] = ("values",)
+    provides: ClassVar[tuple[str, ...]] = ("values",)
     # The weights are a sample already, so the agent acts greedily on them.
     explores_by: ClassVar[str] = "greedy"
 

@@ -34,7 +34,7 @@ class UCB(ExploreOption):
     )
     draws: int = setting(10, integers(2), "draws of the weights at every step")
 
-    needs: ClassVar[tuple[str, ...]] = ("posterior",)
+    requires: ClassVar[tuple[str, ...]] = ("posterior",)
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
         """The module that draws."""
