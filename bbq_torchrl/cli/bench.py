@@ -94,7 +94,7 @@ def _parser() -> output.Parser:
         prog="bbq bench",
         description="Trains agents on several domains, error levels and seeds, and compares them.\n"
         "The same command continues; several at once share the cells.\n"
-        f"Put your agent on the table: {page('bench')}",
+        f"Put your agent on the table: {page('your_agent')}",
     )
     parser.add_argument("folder", type=Path, help="folder of the cells, the page and its data")
     parser.add_argument(

@@ -39,7 +39,7 @@ line for domain.yaml, with standard errors.
               essential slots are active, as in round 0
   batch=, seed=, device=, threads=
 
-Meaning and allowed values of a key: {page("reference/keys")}
+Meaning and allowed values of a key: {page("configuration")}
 """
 
 _PRECISION = 5e-5

@@ -47,14 +47,14 @@ dialogues, turns_per_second.
   env=, domain=  as in bbq train; a run folder keeps its options, and env.<key>= or domain.<key>=
                changes a key
   env.level=   text: users speak in sentences, which the agent has to understand; see
-               {page("language")}
+               {page("your_domain")}
   mode=        mean, average, draw or thompson, for a Bayesian agent
   weights=     last, or best: each replica's weights at its best evaluation during training
   log=<file>   writes the first log_dialogues= dialogues as readable acts
   seed=, device=, threads=
   --config-dir <folder>   folder of your own options, as in bbq train; its Python files are run
 
-Meaning and allowed values of a key: {page("reference/keys")}
+Meaning and allowed values of a key: {page("configuration")}
 """
 
 

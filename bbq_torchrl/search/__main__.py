@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     interruption.tell(lambda: "in a search", lambda: "the same command continues the search")
     if not arguments or {"-h", "--help"} & set(arguments):
-        pages = {"scale": page("scale"), "keys": page("reference/keys")}
+        pages = {"scale": page("scale"), "keys": page("configuration")}
         output.write(USAGE.format(names=", ".join(options(SEARCH)), **pages))
         return 0
     try:

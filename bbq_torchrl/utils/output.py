@@ -156,7 +156,7 @@ def page(name: str) -> Path:
         name: the path in docs/ without the suffix.
 
     Examples:
-        >>> page("chat").is_file()
+        >>> page("people").is_file()
         True
     """
     within = _PACKAGE / "docs" / f"{name}.md"

@@ -40,7 +40,7 @@ def _extending(name: str) -> str:
     return f"```python\n{file.read_text(encoding='utf-8')}```"
 
 
-for _name in ("ucb_policy", "ucb", "langevin", "visits", "chain"):
+for _name in ("ucb_policy", "ucb"):
     block(f"extending.{_name}", _name)(_extending)
 
 

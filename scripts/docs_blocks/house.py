@@ -1,4 +1,4 @@
-"""The rooms of the package, their layers and imports: the table and picture of docs/house.md."""
+"""The rooms of the package, their layers and imports: the table and picture of docs/how_it_works.md."""
 
 from __future__ import annotations
 

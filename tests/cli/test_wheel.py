@@ -84,7 +84,7 @@ def test_the_helps_of_the_wheel_name_what_it_has(python: Path, tmp_path: Path):
         said = _run([python.with_name("bbq"), command, "--help"], tmp_path)
         assert "train.py" not in said, command
         pages |= {Path(named) for named in re.findall(r"\S+\.md\b", said)}
-    assert {page.stem for page in pages} >= {"keys", "scale", "chat", "study"}
+    assert {page.stem for page in pages} >= {"configuration", "scale", "people"}
     for page in pages:
         assert page.is_file()
         assert page.is_relative_to(python.parents[1])

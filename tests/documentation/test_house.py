@@ -13,7 +13,7 @@ from scripts.docs_blocks import house
 
 from .pages import ROOT
 
-PAGE = (ROOT / "docs" / "house.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "how_it_works.md").read_text(encoding="utf-8")
 ROWS = re.findall(r"^\| (\d+|–) \| `([\w.]+)` \| ", PAGE, re.MULTILINE)
 PARTS = ("bayes", "networks", "exploration")
 

@@ -137,7 +137,7 @@ def test_a_block_that_is_unknown_or_not_closed_is_refused(page, message):
     ],
 )
 def test_every_key_is_documented(prefix, options):
-    page = text_of("docs", "reference", "keys.md")
+    page = text_of("docs", "configuration.md")
     keys = {item.name for option in options for item in fields(option)} - {"name", *schemas()}
     assert [key for key in keys if f"| `{prefix}{key}` |" not in page] == []
 

@@ -13,7 +13,7 @@ from bbq_torchrl.runs.train import run
 
 from .pages import ROOT
 
-PAGE = (ROOT / "docs" / "runs.md").read_text(encoding="utf-8")
+PAGE = (ROOT / "docs" / "quickstart.md").read_text(encoding="utf-8")
 
 
 def first_cells(heading):

@@ -83,7 +83,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = output.Parser(
-        prog="bbq chat", description=f"Talk with a trained agent.\nSee {page('chat')}"
+        prog="bbq chat", description=f"Talk with a trained agent.\nSee {page('people')}"
     )
     parser.add_argument("run", help="a run folder, or shipped:<name>")
     about = parser.add_mutually_exclusive_group()

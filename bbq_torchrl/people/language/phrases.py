@@ -24,7 +24,7 @@ LANGUAGE_FILE = "language.yaml"
 _GENERIC = Path(__file__).with_name("generic.yaml")
 GENERIC = (
     f"has no {LANGUAGE_FILE} in its folder, so it is spoken of in generic phrases; "
-    "docs/language.md shows how to write one"
+    "docs/your_domain.md shows how to write one"
 )
 """The rest of the sentence that begins "The domain <name>"."""
 

@@ -48,7 +48,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = output.Parser(
         prog="bbq study",
-        description=f"A human study.\nSee {page('study')}",
+        description=f"A human study.\nSee {page('people')}",
     )
     commands = parser.add_subparsers(
         required=True, metavar="serve | simulate | report | participants | backup | forget | power"

@@ -1,4 +1,4 @@
-"""A study behind real web servers, set up as docs/study.md says: prefix, HTTPS and redirects."""
+"""A study behind real web servers, set up as docs/people.md says: prefix, HTTPS and redirects."""
 
 from __future__ import annotations
 
@@ -26,8 +26,8 @@ NO_HOST = "proxy_set_header Host $http_host;"
 
 
 def recipe(language):
-    """The block of a language on the study's page that is about a web server."""
-    page = (ROOT / "docs" / "study.md").read_text(encoding="utf-8")
+    """The block of a language on the page about people that is about a web server."""
+    page = (ROOT / "docs" / "people.md").read_text(encoding="utf-8")
     blocks = re.findall(rf"```{language}\n(.*?)```", page, flags=re.DOTALL)
     [found] = [block for block in blocks if "lab.example {" in block or "server_name" in block]
     return found
