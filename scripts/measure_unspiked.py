@@ -6,7 +6,7 @@
         --budgets 2000 7500 --set protocol=quick protocol.lr_final=1 spike=none threads=1
     python scripts/measure_unspiked.py runs/unspiked_hotel runs/unspiked_movie
 
-docs/all_results.md has the agents. Rows of other agents stay as they are. ``first_success`` counts
+docs/results.md has the agents. Rows of other agents stay as they are. ``first_success`` counts
 training dialogues in whole rounds.
 """
 

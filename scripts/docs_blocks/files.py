@@ -55,7 +55,7 @@ def _uncertainty() -> str:
 def _bench() -> str:
     """Returns the benchmark's page without its heading, one heading level deeper."""
     text = (RESULTS / "bench" / "bench.md").read_text(encoding="utf-8").split("\n", 2)[2]
-    text = re.sub(r"\]\((\w+)\.png\)", r"](../figures/bench_\1.png)", text)
+    text = re.sub(r"\]\((\w+)\.png\)", r"](figures/bench_\1.png)", text)
     return text.replace("```bash", "```text").strip()
 
 

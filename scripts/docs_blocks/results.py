@@ -131,7 +131,7 @@ def _table1(folder: str) -> str:
     for env, title in DOMAINS.items():
         text = text.replace(f"## env={env}\n", f"### {title}\n")
         if f"table1_{env}" in found.figures:
-            text += f"\n\n![{title}: learning curves](../figures/{folder}_{env}.png)"
+            text += f"\n\n![{title}: learning curves](figures/{folder}_{env}.png)"
     return f"{text}\n\n{_commands(kept)}"
 
 
@@ -157,7 +157,7 @@ def _modes() -> str:
 def _experiment(name: str) -> str:
     """Returns the report's tables, figure and commands of one experiment."""
     kept = groups(name)
-    figure = f"![Training success by round](../figures/{name}.png)"
+    figure = f"![Training success by round](figures/{name}.png)"
     parts = comparison.comparison_report(kept).parts
     shown = (str(part) for part in parts if part not in comparison.NOTES)
     return "\n\n".join([*filter(None, shown), figure, _commands(kept)])

@@ -151,7 +151,7 @@ def _story() -> str:
             f"booked of the first {pairs.EARLY:,} dialogues, BBQN-MAP minus DQN-Boltzmann: "
             f"{BY_ENV.format(*early)}; Soft BBQN-MAP, the default of `agent=bbqn`: "
             f"{BY_ENV.format(*soft)}; both with [searched "
-            "settings](learning_starts.md#the-same-budget-in-rounds): "
+            "settings](learning_starts.md#search-settings): "
             f"{BY_ENV.format(*_of_each(SEARCHED_LONG, 'early'))}",
             _verdict(*soft),
         ),
@@ -172,7 +172,7 @@ def _story() -> str:
             f"BBQN-MAP minus DQN: {BY_ENV.format(*final)}; the paper: "
             + " and ".join(f"{lead:+.3f}" for lead in leads)
             + "; BBQN-MAP minus DQN-Boltzmann with [searched settings]"
-            f"(learning_starts.md#the-same-budget-in-rounds): {level} in the full domain, both "
+            f"(learning_starts.md#search-settings): {level} in the full domain, both "
             f"searched: {BY_ENV.format(*_of_each(SEARCHED_LONG, 'final'))}",
             _verdict(*final, level),
         ),
