@@ -12,6 +12,9 @@ import logging
 import sys
 from typing import TYPE_CHECKING
 
+from omegaconf.errors import OmegaConfBaseException
+from yaml import YAMLError
+
 from bbq_torchrl.options.registry import options
 from bbq_torchrl.runs.overrides import take_config_dir
 from bbq_torchrl.search.definition import SEARCH, compose_search
@@ -25,7 +28,7 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 USAGE = """\
-usage: python -m bbq_torchrl.search search=<name> [search.<key>=<value> ...] [<key>=<value> ...]
+usage: bbq search search=<name> [search.<key>=<value> ...] [<key>=<value> ...]
 
 Searches hyper-parameters by Optuna. Every trial is a run of bbq train with the given keys; the same
 command continues a search. Prints the best trial as one line of JSON.
@@ -39,6 +42,7 @@ All keys, of a search and of bbq train: {keys}
 """
 
 
+@output.refusing
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line.
 
@@ -51,40 +55,29 @@ def main(arguments: Sequence[str] | None = None) -> int:
         pages = {"scale": page("scale"), "keys": page("configuration")}
         output.write(USAGE.format(names=", ".join(options(SEARCH)), **pages))
         return 0
+    # Imported after the help, since torch, torchrl and Optuna take seconds.
+    optuna = needed("optuna", "optuna", "search")
     try:
         search = compose_search(take_config_dir(arguments))
-        # Imported after the first checks, since torch, torchrl and Optuna take seconds.
-        optuna = needed("optuna", "optuna", "search")
         from bbq_torchrl.runs.checks import check
         from bbq_torchrl.runs.train import run
         from bbq_torchrl.search.study import run_search
 
         for config in search.corners:
             check(config)
-    except (ValueError, OSError, ModuleNotFoundError) as error:
-        return _refused(error)
-    logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
-    optuna.logging.set_verbosity(optuna.logging.WARNING)
-    try:
+        logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
+        optuna.logging.set_verbosity(optuna.logging.ERROR)
         best = run_search(search, run, lambda config: check(config).domain)
     except interruption.Interrupted:
         output.print_error(interruption.line())
         return interruption.exit_code()
-    except ConfigError as error:
-        return _refused(error)
-    except (OSError, optuna.exceptions.StorageInternalError) as error:
-        output.print_error(f"error: {sentence(error)}; the same command continues the search")
-        return 1
+    except (OmegaConfBaseException, YAMLError, optuna.exceptions.StorageInternalError) as error:
+        raise ConfigError(sentence(error)) from error
     if best is None:
         output.print_error(f"error: no trial was completed; {search.folder} has the reasons")
         return 1
     output.write(json.dumps(best) + "\n")
     return 0
-
-
-def _refused(error: Exception) -> int:
-    output.print_error(f"error: {sentence(error)}")
-    return 2
 
 
 if __name__ == "__main__":

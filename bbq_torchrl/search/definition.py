@@ -5,36 +5,33 @@
     search=bbqn search.trials=30 search.space.agent.lr.high=0.003 replicas=3 protocol=quick
 
 Keys that begin with ``search`` belong to the search; all others are overrides of ``train.py`` that
-all trials share.
+all trials share. An entry of the space has the arguments of Optuna's ``suggest_<type>``.
 """
 
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import cached_property
 from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from bbq_torchrl.options.registry import config_folders, options
-from bbq_torchrl.runs.compose import compose, load_yaml
-from bbq_torchrl.runs.overrides import is_swept, too_large, unreadable
-from bbq_torchrl.search.space import Parameter, as_entry, parse_parameter
+from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.settings import (
     ANY_TEXT,
     BELOW_ONE,
     COUNT,
     SEED,
     ConfigError,
-    filled,
+    check_values,
     one_of,
     optional,
     setting,
 )
-from bbq_torchrl.utils.text import conceal_environment, sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -43,9 +40,6 @@ if TYPE_CHECKING:
 
 SEARCH = "search"
 """Prefix of the search's keys, and the folder of its YAML files."""
-
-_SPACE = f"{SEARCH}.space."
-_REFUSED = ("resume", "hydra")
 
 
 @dataclass
@@ -59,7 +53,7 @@ class SearchConfig:
     )
     trials: int = setting(50, COUNT, "number of trials of all processes together")
     objective: str = setting(
-        "training",
+        "early",
         one_of("training", "early", "final"),
         "success of all training dialogues (area under the curve), its mean with that of the first "
         "third of the rounds, or success of the final evaluation",
@@ -86,13 +80,13 @@ class Search:
     Attributes:
         name: the name of its YAML file.
         settings: the keys ``search.<key>``.
-        space: key -> its possible values.
+        space: key -> ``type`` (float, int or categorical) and the arguments of ``suggest_<type>``.
         fixed: the overrides of ``train.py`` that all trials share.
     """
 
     name: str
     settings: SearchConfig
-    space: dict[str, Parameter]
+    space: dict[str, dict[str, Any]]
     fixed: tuple[str, ...]
 
     @property
@@ -103,22 +97,7 @@ class Search:
 
     def overrides(self, values: Mapping[str, Any]) -> list[str]:
         """Returns the command line of ``train.py`` for a trial's values."""
-        return [*self.fixed, *(_override(name, value) for name, value in values.items())]
-
-    @cached_property
-    def corners(self) -> list[Config]:
-        """Configurations at the edges of the space: each changes one key to a bound or choice.
-
-        Raises:
-            ConfigError: invalid values.
-        """
-        lowest = {name: item.probes[0] for name, item in self.space.items()}
-        others = [
-            {**lowest, name: value}
-            for name, item in self.space.items()
-            for value in item.probes[1:]
-        ]
-        return [self.config(values) for values in (lowest, *others)]
+        return [*self.fixed, *(_override(key, value) for key, value in values.items())]
 
     def config(self, values: Mapping[str, Any]) -> Config:
         """Returns the configuration of a trial.
@@ -128,14 +107,28 @@ class Search:
         """
         return compose(self.overrides(values))
 
+    @cached_property
+    def corners(self) -> list[Config]:
+        """Configurations at the edges of the space: each changes one key to a bound or choice.
+
+        Raises:
+            ConfigError: invalid values.
+        """
+        edges = {
+            key: entry["choices"] if "choices" in entry else [entry["low"], entry["high"]]
+            for key, entry in self.space.items()
+        }
+        first = {key: values[0] for key, values in edges.items()}
+        changed = [{**first, key: one} for key, values in edges.items() for one in values[1:]]
+        return [self.config(values) for values in (first, *changed)]
+
     def definition(self) -> dict[str, Any]:
         """Returns everything that outcomes depend on, as plain values by dotted key."""
-        settings = asdict(self.settings)
-        for free in ("folder", "trials", "storage"):
-            del settings[free]
+        settings = vars(self.settings).items()
+        free = ("folder", "trials", "storage")
         return {
-            **{f"{SEARCH}.{key}": value for key, value in settings.items()},
-            **{f"{_SPACE}{name}": as_entry(item) for name, item in self.space.items()},
+            **{f"{SEARCH}.{key}": value for key, value in settings if key not in free},
+            **{f"{SEARCH}.space.{key}": entry for key, entry in self.space.items()},
             "fixed": sorted(self.fixed),
         }
 
@@ -149,98 +142,98 @@ def compose_search(arguments: Sequence[str]) -> Search:
 
     Raises:
         ConfigError: one sentence that names the wrong key and its allowed values.
+        OmegaConfBaseException: an unknown key of the search, or a value of the wrong type.
 
     Examples:
         >>> search = compose_search(["search=vime", "search.trials=9", "protocol.lr=.001"])
         >>> list(search.space), search.settings.trials
         (['intrinsic.eta', 'intrinsic.weights', 'protocol.epochs', 'protocol.batch_size'], 9)
     """
-    if (refusal := too_large(arguments)) is not None:
-        raise ConfigError(refusal)
-    chosen = [text.partition("=")[2] for text in arguments if text.partition("=")[0] == SEARCH]
+    chosen = [text.partition("=")[2] for text in arguments if text.startswith(f"{SEARCH}=")]
     if len(chosen) != 1:
         raise ConfigError(f"{SEARCH} must be given once, as one of {', '.join(options(SEARCH))}")
-    settings, given, fixed = _read(chosen[0])
+    given, fixed = _read(_file(chosen[0]))
     for argument in arguments:
         key, equals, text = argument.partition("=")
-        if not equals or argument.startswith("-"):
-            raise ConfigError(unreadable(argument))
-        if key.startswith(_SPACE):
-            _change_space(given, key.removeprefix(_SPACE), _value(argument, text))
-        elif key.startswith(f"{SEARCH}."):
-            settings[key.removeprefix(f"{SEARCH}.")] = _value(argument, text)
+        if not equals:
+            raise ConfigError(f"arguments must be <key>=<value>, got {argument}")
+        if key.startswith(f"{SEARCH}."):
+            value = OmegaConf.from_dotlist([f"value={text}"])["value"]
+            OmegaConf.update(given, key.removeprefix(f"{SEARCH}."), value, merge=False)
         elif key != SEARCH:
             fixed[key.lstrip("+")] = argument
-    for key, override in fixed.items():
-        if is_swept(override):
-            raise ConfigError(
-                f"{sentence(override)} has several values: in a search write "
-                f"{_SPACE}{key}={{type: categorical, choices: [...]}}"
-            )
-        if key.partition(".")[0].partition("/")[0] in _REFUSED:
-            raise ConfigError(f"{sentence(override)} cannot be part of a search")
-        given.pop(key, None)
-    space = {name: parse_parameter(f"{_SPACE}{name}", item) for name, item in given.items()}
+    if refused := {"resume", "hydra"} & {key.partition(".")[0] for key in fixed}:
+        raise ConfigError(f"{refused.pop()} cannot be part of a search")
+    space = {
+        key: _checked_entry(f"{SEARCH}.space.{key}", entry)
+        for key, entry in _entries(given.pop("space", None), "")
+        if key not in fixed
+    }
     if not space:
-        raise ConfigError(f"{SEARCH}.space must have a key that varies, but all are given")
-    name = Path(chosen[0]).stem
-    checked = filled(SearchConfig, settings, f"{SEARCH}.")
-    search = Search(name, checked, space, tuple(fixed.values()))
+        raise ConfigError(f"{SEARCH}.space must have a key that varies, got none")
+    settings = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(SearchConfig), given))
+    assert isinstance(settings, SearchConfig)
+    check_values(settings, f"{SEARCH}.")
+    search = Search(Path(chosen[0]).stem, settings, space, tuple(fixed.values()))
     _ = search.corners  # composed now, to refuse invalid values
     return search
 
 
-def _read(chosen: str) -> tuple[dict[str, Any], dict[str, Any], dict[str, str]]:
-    """Returns settings, space and fixed overrides from the YAML file of a search."""
-    own = chosen.endswith((".yaml", ".yml"))
-    if not own and chosen not in options(SEARCH):
-        raise ConfigError(
-            f"{SEARCH} must be one of {', '.join(options(SEARCH))} or a YAML file, "
-            f"got {shown(chosen)}"
-        )
+def _file(chosen: str) -> Path:
+    """Returns the YAML file of a search: one of ours by its name, or the user's own."""
+    if chosen.endswith((".yaml", ".yml")):
+        return Path(expanduser(chosen))
     places = [folder / SEARCH / f"{chosen}.yaml" for folder in config_folders()]
-    file = Path(expanduser(chosen)) if own else next(place for place in places if place.is_file())
-    plain = OmegaConf.to_container(load_yaml(file, "a search"), resolve=False)
-    if not isinstance(plain, dict) or not isinstance(plain.get("space"), dict):
+    if found := [place for place in places if place.is_file()]:
+        return found[0]
+    known = ", ".join(options(SEARCH))
+    raise ConfigError(f"{SEARCH} must be one of {known} or a YAML file, got {chosen!r}")
+
+
+def _read(file: Path) -> tuple[DictConfig, dict[str, str]]:
+    """Returns a search's settings with its space, nested by dots, and its fixed overrides."""
+    given = OmegaConf.load(file)
+    if not isinstance(given, DictConfig) or not OmegaConf.is_dict(given.get("space")):
         raise ConfigError(f"{file} must have the key space, a mapping of keys to their values")
-    fixed = plain.pop("fixed", None) or []
-    if not isinstance(fixed, list) or not all("=" in str(item) for item in fixed):
-        raise ConfigError(f"{file}: fixed must be a list of key=value, got {shown(fixed)}")
-    space = {str(name): value for name, value in plain.pop("space").items()}
-    by_key = {str(item).partition("=")[0].lstrip("+"): str(item) for item in fixed}
-    return {str(key): value for key, value in plain.items()}, space, by_key
+    fixed = given.pop("fixed", None) or []
+    space = OmegaConf.create()
+    for key, entry in given.space.items():
+        OmegaConf.update(space, str(key), entry)
+    given.space = space
+    return given, {item.partition("=")[0].lstrip("+"): item for item in map(str, fixed)}
 
 
-def _value(argument: str, text: str) -> Any:
-    if not text:
-        return text  # YAML would read null
-    conceal_environment(text)
+def _entries(node: Any, prefix: str) -> list[tuple[str, dict[str, Any]]]:
+    """Returns the entries of a nested space by dotted key; null: the key does not vary."""
+    if not OmegaConf.is_dict(node):
+        if node is None:
+            return []
+        raise ConfigError(f"{SEARCH}.space.{prefix} must be a mapping with a type, got {node!r}")
+    if "type" in node:
+        plain = OmegaConf.to_container(node, resolve=True)
+        assert isinstance(plain, dict)
+        return [(prefix, {str(name): value for name, value in plain.items()})]
+    within = [_entries(node[name], f"{prefix}.{name}".strip(".")) for name in node]
+    return [entry for entries in within for entry in entries]
+
+
+def _checked_entry(key: str, entry: dict[str, Any]) -> dict[str, Any]:
+    from optuna import distributions
+
+    kinds = {
+        "float": distributions.FloatDistribution,
+        "int": distributions.IntDistribution,
+        "categorical": distributions.CategoricalDistribution,
+    }
+    arguments = {name: value for name, value in entry.items() if name != "type"}
+    if entry["type"] not in kinds:
+        raise ConfigError(f"{key}.type must be one of {', '.join(kinds)}, got {entry['type']!r}")
     try:
-        parsed = OmegaConf.from_dotlist([f"value={text}"])
-        return OmegaConf.to_container(parsed, resolve=True)["value"]  # type: ignore[index, call-overload]
-    except Exception as error:
-        raise ConfigError(unreadable(argument)) from error
+        kinds[entry["type"]](**arguments)
+    except (TypeError, ValueError) as error:
+        raise ConfigError(f"{key}: {error}") from error
+    return entry
 
 
-def _change_space(space: dict[str, Any], key: str, value: Any) -> None:
-    """Applies ``<key>={type: ...}``, ``<key>=null`` (does not vary) or ``<key>.<field>=...``."""
-    if value is None:
-        if space.pop(key, key) is key:
-            raise ConfigError(f"{_SPACE}{key} does not vary; {_varying_keys(space)}")
-    elif isinstance(value, dict):
-        space[key] = value
-    else:
-        name, _, entry = key.rpartition(".")
-        if not isinstance(space.get(name), dict):
-            raise ConfigError(
-                f"{_SPACE}{key} is not a key: {name} does not vary; {_varying_keys(space)}"
-            )
-        space[name] = {**space[name], entry: value}
-
-
-def _varying_keys(space: Mapping[str, Any]) -> str:
-    return f"the keys that vary are {', '.join(space)}"
-
-
-def _override(name: str, value: Any) -> str:
-    return f"{name}={value if isinstance(value, str) else json.dumps(value)}"
+def _override(key: str, value: Any) -> str:
+    return f"{key}={value if isinstance(value, str) else json.dumps(value)}"

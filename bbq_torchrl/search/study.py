@@ -1,208 +1,156 @@
-"""The search: trials in sequence, shared by several processes, safe against kills.
+"""The search: trials in Optuna's database, shared by several processes, safe against kills.
 
-Optuna stores the trials in a database. A process locks a file for its trial, and the operating
-system releases the lock when the process ends. So a running trial without a lock was killed, and
-the first process that finds it continues it.
+A process that plays a trial tells the database that it lives (Optuna's heartbeat). A trial whose
+process died is retried: it continues from its last checkpoint, in the same folder.
 """
 
 from __future__ import annotations
 
+import csv
 import logging
+import math
+import shlex
+import time
 import warnings
-from contextlib import ExitStack, contextmanager
-from math import prod
+from collections import Counter
+from io import StringIO
 from typing import TYPE_CHECKING, Any
-from uuid import uuid4
 
 import optuna
-import yaml
-from filelock import FileLock, Timeout
+from filelock import FileLock
+from optuna.trial import TrialState
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.pool import NullPool
 
+from bbq_torchrl.evaluation.curves import read_metrics
+from bbq_torchrl.evaluation.run_result import read_result, write_json
 from bbq_torchrl.runs.folders import refuse_links
-from bbq_torchrl.search.space import Choices, as_entry
-from bbq_torchrl.search.trials import (
-    Outcome,
-    best_trial,
-    play_trial,
-    trial_name,
-    write_tables,
-)
+from bbq_torchrl.runs.overrides import train_command
+from bbq_torchrl.runs.resume import is_finished, restarted_config
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import TrainingError, derive_seed
 from bbq_torchrl.utils.extras import sqlite_url
-from bbq_torchrl.utils.files import CONFIG, read_yaml, write_text
-from bbq_torchrl.utils.text import sentence, shown
+from bbq_torchrl.utils.files import write_text
+from bbq_torchrl.utils.statistics import interquartile_mean
+from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping
+    from collections.abc import Callable, Sequence
     from pathlib import Path
+
+    from optuna.trial import FrozenTrial
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.evaluation.run_result import RunResult
     from bbq_torchrl.options import Config
-    from bbq_torchrl.search.definition import Search
+    from bbq_torchrl.search.definition import Search, SearchConfig
+    from bbq_torchrl.trainers import RoundTrainer
+    from bbq_torchrl.trainers.recording import MetricRow
 
 _LOG = logging.getLogger(__name__)
-_DEFINITION = "search.yaml"
-_DATABASE = "study.db"
-_TIE = ".study"
-_DEFINED, _TIED = "definition", "tie"
+
+_HEARTBEAT, _GRACE = 20, 60  # seconds between signs of life, and until a trial counts as dead
+_NUMBER, _REASON, _DEFINITION = "number", "reason", "definition"  # attributes of trials and study
+
+with warnings.catch_warnings():
+    warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+    _RETRY = optuna.storages.RetryHeartbeatStaleTrialCallback(inherit_intermediate_values=True)
+
+
+class _TrialFailed(Exception):
+    """Ends a trial that cannot be trained; the search goes on."""
 
 
 def run_search(
     search: Search,
-    runner: Callable[..., RunResult],
+    train: Callable[..., RunResult],
     check: Callable[[Config], Domain | None] = lambda config: None,
 ) -> dict[str, Any] | None:
     """Runs trials up to ``search.trials``. Returns the best; None if no trial is complete.
 
-    An interrupted search continues: finished trials stay, a killed trial resumes from its last
-    checkpoint, and new trials get the same values as without the interruption.
+    An interrupted search continues: finished trials stay, and a killed trial resumes from its last
+    checkpoint, a minute after its process died. At the end a process waits for the trials of
+    others.
 
     Args:
         search: the search.
-        runner: trains a trial, as ``bbq_torchrl.runs.train.run`` does; called with configuration,
-            folder, callbacks and ``domain=``. A TrainingError fails the trial; any other error ends
-            the search, and the next start continues the trial.
-        check: further checks of a trial's configuration; returns the loaded domain. A
-            ``ConfigError``, for values that do not go together, fails the trial.
+        train: trains a trial, as ``bbq_torchrl.runs.train.run`` does; called with configuration,
+            folder, callbacks and ``domain=``. An OSError, such as a full disk, ends the search, and
+            the next start continues the trial; any other error fails the trial.
+        check: further checks of a trial's configuration; returns the loaded domain.
 
     Raises:
-        ConfigError: the folder has another search, its trials and the storage do not belong
-            together, or one of the two is unusable.
+        ConfigError: the database has another search or cannot be used.
     """
-    with _opened(search) as study:
-        if (most := _most_trials(search)) < search.settings.trials:
-            _LOG.info("search.trials=%d: the space has %d settings", search.settings.trials, most)
-        _run_trials(search, study, runner, check)
-        return best_trial(search, study)
+    search.folder.mkdir(parents=True, exist_ok=True)
+    refuse_links(search.folder)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
+        study, storage = _open_study(search)
+        try:
+            _run_trials(search, study, train, check)
+            return best_trial(search, study)
+        finally:
+            storage.remove_session()
+            storage.engine.dispose()
 
 
 def _run_trials(
     search: Search,
     study: optuna.Study,
-    runner: Callable[..., RunResult],
+    train: Callable[..., RunResult],
     check: Callable[[Config], Domain | None],
 ) -> None:
-    folder = search.folder
-    while True:
-        with _claimed(search, study, folder) as trial:
-            if trial is None:
-                break
-            values = _values(search, study, trial)
-            _LOG.info("trial %d: %s", trial.number, values)
-            run_folder = folder / trial_name(trial.number)
-            try:
-                config = search.config(values)
-                domain = check(config)
-            except (ConfigError, TrainingError) as error:
-                outcome = Outcome(optuna.trial.TrialState.FAIL, reason=sentence(error))
-            else:
-                outcome = play_trial(trial, config, run_folder, search.settings, runner, domain)
-            # Locked, so that nobody takes the trial for an interrupted one.
-            with FileLock(folder / ".search.lock"):
-                _tell(study, trial, outcome)
-        with FileLock(folder / ".tables.lock"):
-            write_tables(search, study)
+    """Plays trials until all have ended, also those of other processes."""
 
-
-@contextmanager
-def _opened(search: Search) -> Iterator[optuna.Study]:
-    """Opens the study of a search, new or to continue, and closes its database at the end."""
-    folder = search.folder
-    with ExitStack() as opened:
+    def objective(trial: optuna.Trial) -> float:
         try:
-            folder.mkdir(parents=True, exist_ok=True)
-            refuse_links(folder)
-            with FileLock(folder / ".search.lock"):
-                _check_definition(search, folder / _DEFINITION)
-                study = _study(search, opened)
-                _tie(study, folder, _database(search))
-                if not (folder / _DEFINITION).exists():
-                    text = yaml.safe_dump(search.definition(), sort_keys=False)
-                    write_text(folder / _DEFINITION, text)
-        except OSError as error:
-            raise ConfigError(
-                f"search.folder={folder} cannot be used: {sentence(error)}"
-            ) from error
-        yield study
+            return _play(search, study, trial, train, check)
+        except optuna.TrialPruned:
+            raise
+        except OSError:
+            _RETRY(study, study.get_trials(deepcopy=False)[trial.number])
+            raise
+        except Exception as error:
+            known = isinstance(error, (ValueError, TrainingError))
+            reason = sentence(error) if known else f"{type(error).__name__}: {error}"
+            trial.set_user_attr(_REASON, reason)
+            raise _TrialFailed from error
+
+    while True:
+        while _to_start(search, study) > 0:
+            study.optimize(objective, n_trials=1, catch=(_TrialFailed,))
+            with FileLock(search.folder / ".tables.lock"):
+                write_tables(search, study)
+        if not study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
+            break
+        _LOG.info("waiting for the trials of other processes")
+        time.sleep(_HEARTBEAT)
+        optuna.storages.fail_stale_trials(study)
 
 
-def _check_definition(search: Search, file: Path) -> None:
-    """Refuses a folder that was started with another definition."""
-    if not file.exists():
-        return
-    try:
-        begun = read_yaml(file.read_text(encoding="utf-8"))
-    except ValueError as error:
-        raise ConfigError(f"{file} is damaged: {sentence(error)}") from error
-    if not isinstance(begun, dict):
-        raise ConfigError(f"{file} is damaged: it must be a mapping, got {shown(begun)}")
-    _refuse_another(search, begun, f"{file.parent}", "search.folder")
-
-
-def _refuse_another(search: Search, begun: Mapping[str, Any], place: str, choice: str) -> None:
-    definition = search.definition()
-    for key in {**begun, **definition}:
-        if begun.get(key) != definition.get(key):
-            raise ConfigError(
-                f"{place} has a search with {key}={begun.get(key)}, got "
-                f"{definition.get(key)}: choose another {choice}"
-            )
-
-
-def _tie(study: optuna.Study, folder: Path, database: str) -> None:
-    """Ties a database to the folder of its trials by a mark in both.
-
-    Raises:
-        ConfigError: folder and database have different trials, so that values would be reported
-            that were never trained there.
-    """
-    file = folder / _TIE
-    of_folder = file.read_text(encoding="utf-8", errors="replace") if file.is_file() else None
-    of_study = study.user_attrs.get(_TIED)
-    runs = any(folder.glob(f"trial_*/{CONFIG}"))
-    if of_study is None and bool(study.get_trials(deepcopy=False)) == runs:
-        # Both are new, or of a version without marks.
-        of_study = of_folder = of_folder or uuid4().hex
-        write_text(file, of_folder)
-        study.set_user_attr(_TIED, of_study)
-    if of_study is None or of_folder != of_study:
-        fault = (
-            f"{folder} has trials that {database} lacks"
-            if of_study is None and runs
-            else f"{database} has the search of another folder than {folder}"
-        )
-        raise ConfigError(f"{fault}: choose another search.folder")
-
-
-def _database(search: Search) -> str:
-    """Returns the name of a search's database for messages."""
-    url = search.settings.storage
-    return f"search.storage={url}" if url else str(search.folder / _DATABASE)
-
-
-def _study(search: Search, opened: ExitStack) -> optuna.Study:
+def _open_study(search: Search) -> tuple[optuna.Study, optuna.storages.RDBStorage]:
+    """Opens the study, new or to continue, with the database that has it."""
     settings = search.settings
-    rounds = search.corners[0].protocol.rounds
+    url = settings.storage or sqlite_url(search.folder / "study.db")
+    # Processes that share a file wait up to a minute for one another. A pool would leave
+    # connections open if Optuna refuses the database.
+    sqlite = {"connect_args": {"timeout": 60}, "poolclass": NullPool}
     pruner: optuna.pruners.BasePruner = optuna.pruners.NopPruner()
     if settings.pruner == "median":
+        rounds = search.corners[0].protocol.rounds
         pruner = optuna.pruners.MedianPruner(
             n_startup_trials=settings.startup_trials,
             n_warmup_steps=int(settings.prune_after * rounds),
         )
-    url = settings.storage or sqlite_url(search.folder / _DATABASE)
-    options: dict[str, Any] = {}
-    if url.startswith("sqlite"):
-        # Processes that share the file wait up to a minute for one another. A pool would leave
-        # connections open if Optuna refuses the database.
-        options = {"connect_args": {"timeout": 60}, "poolclass": NullPool}
     try:
-        storage = optuna.storages.RDBStorage(url, engine_kwargs=options)
-        opened.callback(storage.engine.dispose)
-        opened.callback(storage.remove_session)
+        storage = optuna.storages.RDBStorage(
+            url,
+            engine_kwargs=sqlite if url.startswith("sqlite") else {},
+            heartbeat_interval=_HEARTBEAT,
+            grace_period=_GRACE,
+            heartbeat_stale_trial_callback=_RETRY,
+        )
         study = optuna.create_study(
             storage=storage,
             study_name=search.name,
@@ -212,93 +160,165 @@ def _study(search: Search, opened: ExitStack) -> optuna.Study:
         )
     # An invalid URL, a missing or invalid database, or a missing driver.
     except (SQLAlchemyError, optuna.exceptions.OptunaError, ImportError, RuntimeError) as error:
-        raise ConfigError(f"{_database(search)} cannot be used: {sentence(error)}") from error
-    # The database may belong to a search in another folder.
+        raise ConfigError(f"search.storage={url} cannot be used: {sentence(error)}") from error
     definition = search.definition()
-    begun = study.user_attrs.get(_DEFINED, definition)
-    _refuse_another(search, begun, "search.storage", "search.storage")
-    study.set_user_attr(_DEFINED, definition)
-    return study
+    if settings.storage is not None:
+        definition["search.folder"] = str(search.folder)
+    begun = study.user_attrs.get(_DEFINITION, definition)
+    for key in {**begun, **definition}:
+        if begun.get(key) != definition.get(key):
+            storage.engine.dispose()
+            raise ConfigError(
+                f"{settings.storage or search.folder} has a search with {key}={begun.get(key)}, "
+                f"got {definition.get(key)}: choose another search.folder or search.storage"
+            )
+    study.set_user_attr(_DEFINITION, definition)
+    return study, storage
 
 
-@contextmanager
-def _claimed(search: Search, study: optuna.Study, folder: Path) -> Iterator[optuna.Trial | None]:
-    """Yields a locked trial, killed ones first; None if all are done."""
-    trial, own = None, None
-    with FileLock(folder / ".search.lock"):
-        trials = study.get_trials(deepcopy=False)
-        for known in trials:
-            if known.state is optuna.trial.TrialState.RUNNING:
-                lock = _trial_lock(folder, known.number)
-                try:
-                    lock.acquire(timeout=0)
-                except Timeout:
-                    continue
-                # Optuna makes the object of a stored trial like this.
-                trial, own = optuna.Trial(study, known._trial_id), lock
-                _LOG.info("trial %d was interrupted and continues", known.number)
-                break
-        if trial is None and len(trials) < _most_trials(search):
-            trial = study.ask()
-            own = _trial_lock(folder, trial.number)
-            own.acquire()
-    try:
-        yield trial
-    finally:
-        if own is not None:
-            own.release()
+def _to_start(search: Search, study: optuna.Study) -> int:
+    """Returns the number of trials still to start; a space of choices has one per combination."""
+    trials = study.get_trials(deepcopy=False)
+    choices = [entry.get("choices", ()) for entry in search.space.values()]
+    most = math.prod(map(len, choices)) if all(choices) else math.inf
+    under_way = sum(trial.state is TrialState.RUNNING for trial in trials)
+    return int(min(search.settings.trials, most)) - len(_ended(study)) - under_way
 
 
-def _trial_lock(folder: Path, number: int) -> FileLock:
-    locks = folder / ".locks"
-    locks.mkdir(exist_ok=True)
-    return FileLock(locks / trial_name(number))
+def _ended(study: optuna.Study) -> list[FrozenTrial]:
+    """Returns the trials that have an outcome; those of dead processes were queued again."""
+    return [
+        trial
+        for trial in study.get_trials(deepcopy=False)
+        if trial.state in (TrialState.COMPLETE, TrialState.PRUNED) or _REASON in trial.user_attrs
+    ]
 
 
-def _values(search: Search, study: optuna.Study, trial: optuna.Trial) -> dict[str, Any]:
-    """Returns the trial's values, from separate seeds, so that interruptions change nothing."""
+def _play(
+    search: Search,
+    study: optuna.Study,
+    trial: optuna.Trial,
+    train: Callable[..., RunResult],
+    check: Callable[[Config], Domain | None],
+) -> float:
+    """Trains a trial: new, from its last checkpoint, or finished already. Returns its value."""
+    known = study.get_trials(deepcopy=False)[: trial.number]
+    new = sum(_RETRY.retried_trial_number(one) is None for one in known)
+    number = trial.user_attrs.get(_NUMBER, new)
+    trial.set_user_attr(_NUMBER, number)
+    study.sampler = _sampler(search, derive_seed(search.settings.seed, "search", number) % 2**32)
     values = {}
-    for name, parameter in search.space.items():
-        seed = derive_seed(search.settings.seed, "search", trial.number, name)
-        study.sampler = _sampler(search, seed % 2**32)
-        bounds = as_entry(parameter)
-        # A trial that continues keeps its value.
-        values[name] = getattr(trial, f"suggest_{bounds.pop('type')}")(name, **bounds)
-    return values
-
-
-def _has_choices_only(search: Search) -> bool:
-    return all(isinstance(parameter, Choices) for parameter in search.space.values())
-
-
-def _most_trials(search: Search) -> int:
-    """Returns the number of trials; a space with only choices has one per combination."""
-    if not _has_choices_only(search):
-        return search.settings.trials
-    return min(search.settings.trials, prod(len(item.probes) for item in search.space.values()))
+    for key, entry in search.space.items():
+        bounds = {name: value for name, value in entry.items() if name != "type"}
+        values[key] = getattr(trial, f"suggest_{entry['type']}")(key, **bounds)
+    _LOG.info("trial %d: %s", number, values)
+    folder = search.folder / _folder_name(number)
+    config = search.config(values)
+    domain = check(config)
+    folder.mkdir(exist_ok=True)
+    config = restarted_config(config, folder, way="choose another search.folder")
+    if is_finished(folder, config.protocol.rounds):
+        result = read_result(folder)
+    else:
+        result = train(config, folder, [_Reports(trial, search.settings)], domain=domain)
+    return _value(result, folder, search.settings)
 
 
 def _sampler(search: Search, seed: int) -> optuna.samplers.BaseSampler:
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        if _has_choices_only(search):
-            # TPE and random sampling would repeat the same few settings.
-            return optuna.samplers.BruteForceSampler(seed=seed)
-        if search.settings.sampler == "random":
-            return optuna.samplers.RandomSampler(seed=seed)
-        # constant_liar keeps processes from trying the same values at the same time.
-        return optuna.samplers.TPESampler(
-            n_startup_trials=search.settings.startup_trials, constant_liar=True, seed=seed
-        )
-
-
-def _tell(study: optuna.Study, trial: optuna.Trial, outcome: Outcome) -> None:
-    if outcome.reason is not None:
-        trial.set_user_attr("reason", outcome.reason)
-    # The brute-force sampler would stop Optuna's loop, which is not running here.
-    study.sampler = optuna.samplers.RandomSampler()
-    study.tell(trial, outcome.value, state=outcome.state)
-    text = outcome.reason if outcome.value is None else f"{outcome.value:.4f}"
-    _LOG.info(
-        "trial %d is %s%s", trial.number, outcome.state.name.lower(), f": {text}" if text else ""
+    if all("choices" in entry for entry in search.space.values()):
+        # TPE and random sampling would repeat the same few settings.
+        return optuna.samplers.BruteForceSampler(seed=seed)
+    if search.settings.sampler == "random":
+        return optuna.samplers.RandomSampler(seed=seed)
+    # constant_liar keeps processes from trying the same values at the same time.
+    return optuna.samplers.TPESampler(
+        n_startup_trials=search.settings.startup_trials, constant_liar=True, seed=seed
     )
+
+
+class _Reports:
+    """Reports the success of all dialogues so far after every round; prunes the trial."""
+
+    def __init__(self, trial: optuna.Trial, settings: SearchConfig) -> None:
+        self._trial = trial
+        self._settings = settings
+        # A resumed trial repeats rounds that it has already reported.
+        known = trial.study.get_trials(deepcopy=False)[trial.number].intermediate_values
+        self._reported = set(known)
+
+    def __call__(self, trainer: RoundTrainer, rows: Sequence[MetricRow], /) -> None:
+        replicas, done = len(rows), trainer.rounds_done
+        success = [row["success_rate"] for row in trainer.metrics.rows]
+        so_far = [math.fsum(success[replica::replicas]) / done for replica in range(replicas)]
+        if done - 1 not in self._reported:
+            self._trial.report(_over_replicas(so_far, self._settings), step=done - 1)
+        if done < trainer.rounds and self._trial.should_prune():
+            raise optuna.TrialPruned
+
+
+def _value(result: RunResult, folder: Path, settings: SearchConfig) -> float:
+    """Returns the objective: the replicas' mean or interquartile mean of success."""
+    if settings.objective == "final":
+        return _over_replicas([item.success_rate for item in result.per_replica], settings)
+    values = [item.training_success for item in result.per_replica]
+    if settings.objective == "early":
+        success = read_metrics(folder)["success_rate"]
+        first = success[: max(1, len(success) // 3)].mean(0)
+        values = [(whole + float(early)) / 2 for whole, early in zip(values, first, strict=True)]
+    return _over_replicas(values, settings)
+
+
+def _over_replicas(values: Sequence[float], settings: SearchConfig) -> float:
+    if settings.statistic == "iqm":
+        return float(interquartile_mean(values))
+    return math.fsum(values) / len(values)
+
+
+def _folder_name(number: int) -> str:
+    return f"trial_{number:04d}"
+
+
+def best_trial(search: Search, study: optuna.Study) -> dict[str, Any] | None:
+    """Returns the best complete trial and the command that repeats it; None without one."""
+    ended = _ended(study)
+    complete = [trial for trial in ended if trial.state is TrialState.COMPLETE]
+    if not complete:
+        return None
+    # The first of equal trials, however processes shared them.
+    best = max(complete, key=lambda trial: (trial.value, -trial.user_attrs[_NUMBER]))
+    values = {key: best.params[key] for key in search.space}
+    return {
+        "trial": best.user_attrs[_NUMBER],
+        "value": best.value,
+        "objective": search.settings.objective,
+        "statistic": search.settings.statistic,
+        "values": values,
+        "folder": str(search.folder / _folder_name(best.user_attrs[_NUMBER])),
+        "command": shlex.join([*train_command(), *search.overrides(values)]),
+        "trials": dict(sorted(Counter(trial.state.name.lower() for trial in ended).items())),
+    }
+
+
+def write_tables(search: Search, study: optuna.Study) -> None:
+    """Writes ``trials.csv``, a row for each trial that has ended, and ``best.json``."""
+    rows = [
+        {
+            "trial": trial.user_attrs[_NUMBER],
+            "state": trial.state.name.lower(),
+            "value": "" if trial.values is None else trial.value,
+            **{key: trial.params.get(key, "") for key in search.space},
+            "rounds": len(trial.intermediate_values),
+            "seconds": "" if trial.duration is None else round(trial.duration.total_seconds(), 1),
+            "folder": _folder_name(trial.user_attrs[_NUMBER]),
+            "reason": trial.user_attrs.get(_REASON, ""),
+        }
+        for trial in sorted(_ended(study), key=lambda trial: trial.user_attrs[_NUMBER])
+    ]
+    if rows:
+        text = StringIO()
+        writer = csv.DictWriter(text, list(rows[0]))
+        writer.writeheader()
+        writer.writerows(rows)
+        write_text(search.folder / "trials.csv", text.getvalue())
+    if (best := best_trial(search, study)) is not None:
+        write_json(best, search.folder / "best.json")
