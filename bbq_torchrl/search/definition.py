@@ -27,7 +27,7 @@ from bbq_torchrl.settings import (
     COUNT,
     SEED,
     ConfigError,
-    check_values,
+    filled,
     one_of,
     optional,
     setting,
@@ -142,7 +142,6 @@ def compose_search(arguments: Sequence[str]) -> Search:
 
     Raises:
         ConfigError: one sentence that names the wrong key and its allowed values.
-        OmegaConfBaseException: an unknown key of the search, or a value of the wrong type.
 
     Examples:
         >>> search = compose_search(["search=vime", "search.trials=9", "protocol.lr=.001"])
@@ -171,9 +170,8 @@ def compose_search(arguments: Sequence[str]) -> Search:
     }
     if not space:
         raise ConfigError(f"{SEARCH}.space must have a key that varies, got none")
-    settings = OmegaConf.to_object(OmegaConf.merge(OmegaConf.structured(SearchConfig), given))
-    assert isinstance(settings, SearchConfig)
-    check_values(settings, f"{SEARCH}.")
+    plain: Any = OmegaConf.to_container(given)
+    settings = filled(SearchConfig, plain, f"{SEARCH}.")
     search = Search(Path(chosen[0]).stem, settings, space, tuple(fixed.values()))
     _ = search.corners  # composed now, to refuse invalid values
     return search

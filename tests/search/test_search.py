@@ -226,7 +226,7 @@ def test_trials_that_cannot_be_run_or_diverge_fail_and_the_search_goes_on(tmp_pa
         if len(checked) == 2:
             raise ConfigError("protocol.capacity must be\nmore")
 
-    training = Training({(2, 3): TrainingError("the loss is\nnot finite"), (3, 1): KeyError("x")})
+    training = Training({(2, 3): TrainingError("the loss is\nnot finite"), (3, 2): KeyError("x")})
     best = search(tmp_path, training=training, check=check, trials=5)
     assert [(row["state"], row["reason"]) for row in table(tmp_path)] == [
         ("complete", ""),
@@ -323,8 +323,16 @@ def connections():
     event.remove(Pool, "connect", keep)
 
 
-@pytest.mark.parametrize("ends", ["well", "refused", "error", "no database"])
-@pytest.mark.parametrize("storage", [[], ["search.storage=sqlite:///{folder}/other.db"]])
+@pytest.mark.parametrize(
+    ("ends", "storage"),
+    [
+        ("well", []),
+        ("refused", ["search.storage=sqlite:///{folder}/other.db"]),
+        ("error", []),
+        ("no database", ["search.storage=sqlite:///{folder}/other.db"]),
+        ("no database", []),
+    ],
+)
 def test_every_connection_to_the_database_is_closed(tmp_path, connections, storage, ends):
     given = [text.format(folder=tmp_path) for text in storage]
     if ends == "well":

@@ -52,23 +52,6 @@ def test_trials_are_reported_with_the_values_that_they_were_trained_with(searche
     check(searched)
 
 
-@pytest.mark.parametrize("storage", ["gone", "another"])
-def test_a_folder_is_not_used_with_a_database_that_does_not_know_it(searched, storage, tmp_path):
-    kept = (searched / "study.db").read_bytes()
-    given = [f"search.folder={searched}"]
-    if storage == "gone":
-        (searched / "study.db").unlink()
-    else:
-        given.append(f"search.storage=sqlite:///{tmp_path / 'another.db'}")
-    _, told = forked.call(command(*given), cwd=tmp_path, code=2)
-    assert told.splitlines()[-1].startswith(f"error: {searched} has trials that ")
-    assert told.splitlines()[-1].endswith(" lacks: choose another search.folder")
-    check(searched)
-    (searched / "study.db").write_bytes(kept)  # with its database the search goes on
-    forked.call(command(f"search.folder={searched}"), cwd=tmp_path)
-    check(searched)
-
-
 def test_a_folder_of_a_strange_name_has_its_database(tmp_path):
     folder = tmp_path / "a%23b#c?d"
     forked.call(command(f"search.folder={folder}", "search.trials=1"), cwd=tmp_path)
