@@ -36,8 +36,8 @@ from bbq_torchrl.networks.q_actor import split_actor
 from bbq_torchrl.options.env import FullDomain
 from bbq_torchrl.runs.build import make_domain
 from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.folders import run_config
 from bbq_torchrl.runs.loading import trained_policy
-from bbq_torchrl.runs.resume import run_config
 from bbq_torchrl.runs.shipped import run_folder
 from bbq_torchrl.trainers import episode_stats
 from bbq_torchrl.utils import output

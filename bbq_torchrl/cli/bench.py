@@ -19,7 +19,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.options.registry import EXPERIMENT, load_folder, options
-from bbq_torchrl.runs.overrides import key_of, refuse_second_folder
+from bbq_torchrl.runs.compose import key_of
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.output import between, page
@@ -51,7 +51,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     interruption.tell(lambda: "in a benchmark", lambda: "the same command continues it")
     given = _parser().parse_args(arguments)
-    refuse_second_folder(arguments)
     if given.config_dir is not None:
         load_folder(given.config_dir)
     agents, domains = _agents(given.agents), _domains(given.domains)
@@ -66,16 +65,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for agent, overrides in agents.items()
         for cell in bench.cells_of(agent, [*given.set, *overrides], domains=domains, **shared)
     ]
-    checked = [bench.checked(cell, to_train=not given.page) for cell in cells]
+    for cell in cells:
+        bench.refuse_invalid(cell, to_train=not given.page)
     given.folder.mkdir(parents=True, exist_ok=True)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     reasons = {}
     try:
-        for number, (cell, one) in enumerate(zip(cells, checked, strict=True), 1):
+        for number, cell in enumerate([] if given.page else cells, 1):
             interruption.check()
-            if one is not None:
-                _LOG.info("cell %d of %d: %s", number, len(cells), cell.name)
-                reasons[cell.name] = bench.play(cell, one)
+            _LOG.info("cell %d of %d: %s", number, len(cells), cell.name)
+            reasons[cell.name] = bench.play(cell)
     except interruption.Interrupted:
         output.print_error(interruption.line())
         return interruption.exit_code()

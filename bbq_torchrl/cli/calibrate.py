@@ -14,8 +14,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 from bbq_torchrl.domains import importing
 from bbq_torchrl.options import CalibrateConfig
-from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.runs.overrides import take_config_dir
+from bbq_torchrl.runs.compose import compose, take_config_dir
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.output import page
@@ -101,8 +100,7 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
     from bbq_torchrl.envs import scripted_policy
     from bbq_torchrl.evaluation.rollouts import evaluate
     from bbq_torchrl.options.env import FullDomain
-    from bbq_torchrl.runs.build import set_up_process
-    from bbq_torchrl.runs.checks import check_device
+    from bbq_torchrl.runs.build import check_device, set_up_process
     from bbq_torchrl.trainers import derive_seed
     from bbq_torchrl.utils.statistics import binomial_standard_error
 

@@ -16,9 +16,8 @@ from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.options import EvaluateConfig
 from bbq_torchrl.options.task import replica_values
-from bbq_torchrl.runs.compose import compose, run_of
-from bbq_torchrl.runs.overrides import take_config_dir
-from bbq_torchrl.runs.resume import run_config
+from bbq_torchrl.runs.compose import compose, take_config_dir, value_of
+from bbq_torchrl.runs.folders import run_config
 from bbq_torchrl.runs.shipped import run_folder
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
@@ -78,7 +77,7 @@ def composed(overrides: Sequence[str]) -> EvaluateConfig:
     Raises:
         ConfigError: a wrong key or value, or a folder that is not a run folder.
     """
-    policy = run_of(overrides, "policy")
+    policy = value_of(overrides, "policy")
     folder = run_folder(policy) if policy else None
     run = run_config(folder) if folder is not None and folder.is_dir() else None
     return compose(overrides, EvaluateConfig, run)
@@ -92,8 +91,7 @@ def evaluation(config: EvaluateConfig) -> dict[str, Any]:
     """
     from bbq_torchrl.domains.domain import RANDOM_POLICY
     from bbq_torchrl.evaluation.rollouts import evaluate
-    from bbq_torchrl.runs.build import make_domain, set_up_process
-    from bbq_torchrl.runs.checks import check_device
+    from bbq_torchrl.runs.build import check_device, make_domain, set_up_process
     from bbq_torchrl.runs.loading import trained_policy
     from bbq_torchrl.utils.statistics import binomial_standard_error
 

@@ -16,7 +16,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, ClassVar, TypeVar
 
 from bbq_torchrl.settings import REQUIRED, Allowed, ConfigError
-from bbq_torchrl.utils.text import as_typed, shown
+from bbq_torchrl.utils.files import read_yaml
+from bbq_torchrl.utils.text import as_typed, sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -154,8 +155,8 @@ def load_folder(folder: Path | str, given_by: str = "--config-dir") -> None:
         given_by: the argument with the folder, for messages.
 
     Raises:
-        ConfigError: the folder is missing, a file cannot be imported, or a file has the name of an
-            option or file of ours.
+        ConfigError: the folder is missing, a file cannot be imported or read, or it has the name
+            of an option or file of ours.
     """
     given, folder = str(folder), Path(expanduser(folder)).resolve()
     if not folder.is_dir():
@@ -180,6 +181,10 @@ def load_folder(folder: Path | str, given_by: str = "--config-dir") -> None:
             # Hydra would silently use ours, or fail to merge the two.
             if name in _OPTIONS.get(group, ()) or (ours / group / f"{name}.yaml").is_file():
                 raise ConfigError(f"{file} must have another name: {group}={name} exists already")
+            try:
+                read_yaml(file.read_text(encoding="utf-8"))  # Hydra would print a traceback
+            except (OSError, ValueError) as error:
+                raise ConfigError(f"{file}: {sentence(error)}") from error
     os.environ[FOLDER_VARIABLE] = str(folder)
 
 

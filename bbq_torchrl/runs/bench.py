@@ -13,12 +13,10 @@ import torch
 from bbq_torchrl.evaluation.bench import setting_name
 from bbq_torchrl.evaluation.rollouts import evaluation_rollouts
 from bbq_torchrl.evaluation.run_result import write_json
-from bbq_torchrl.runs.checks import check
-from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.runs.folders import run_lock
+from bbq_torchrl.runs.build import check_resources
+from bbq_torchrl.runs.compose import compose, train_command
+from bbq_torchrl.runs.folders import is_finished, restarted_config, run_lock
 from bbq_torchrl.runs.loading import load_run
-from bbq_torchrl.runs.overrides import train_command
-from bbq_torchrl.runs.resume import is_finished, restarted_config
 from bbq_torchrl.runs.train import run
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import TrainingError, derive_seed, episode_stats
@@ -30,7 +28,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.evaluation.bench import Setting
     from bbq_torchrl.options import Config
-    from bbq_torchrl.runs.checks import Checked
 
 PLAYS = 20
 """Mean number of plays of a goal for pass^k: fewer than 8 are rare."""
@@ -126,22 +123,23 @@ def cells_of(
     return cells
 
 
-def checked(cell: Cell, *, to_train: bool) -> Checked | None:
+def refuse_invalid(cell: Cell, *, to_train: bool) -> None:
     """Checks the run in a cell's folder and, as ``bbq train`` does, what is to be trained."""
     try:
         restarted_config(cell.config, cell.folder, way="choose another folder for this bench")
-        return check(cell.config) if to_train else None
+        if to_train:
+            check_resources(cell.config)
     except (ValueError, OSError) as error:
         raise ConfigError(f"{cell.name}: {sentence(error)}") from error
 
 
-def play(cell: Cell, parts: Checked) -> str:
+def play(cell: Cell) -> str:
     """Trains a cell and plays its goals again and again. Returns why it could not; else empty."""
     try:
         with run_lock(cell.folder):
             config = restarted_config(cell.config, cell.folder)
             if not is_finished(cell.folder, config.protocol.rounds):
-                run(config, cell.folder, domain=parts.domain, spiking=parts.spiking)
+                run(config, cell.folder)
             if not cell.is_played:
                 write_json(goal_plays(cell), cell.folder / _PLAYED)
     except (TrainingError, ConfigError) as error:  # also another process at work in the folder

@@ -5,14 +5,11 @@ from __future__ import annotations
 import logging
 import os
 import subprocess
-from collections.abc import Iterable, Mapping
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
-from torch import nn
-from torchrl.envs import Compose
 
 import bbq_torchrl
 from bbq_torchrl.data.replay import TRANSITION_KEYS
@@ -20,7 +17,14 @@ from bbq_torchrl.evaluation.rollouts import RoundEvaluator
 from bbq_torchrl.options import Task
 from bbq_torchrl.options.task import action_mask_key, replica_values
 from bbq_torchrl.settings import ConfigError, walk
-from bbq_torchrl.trainers import derive_seed, episode_stats, keep_freed_memory, rollouts
+from bbq_torchrl.trainers import (
+    TrainingError,
+    derive_seed,
+    episode_stats,
+    keep_freed_memory,
+    rollouts,
+)
+from bbq_torchrl.utils.text import FaultsError, shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator, Sequence
@@ -32,8 +36,12 @@ if TYPE_CHECKING:
     from torchrl.record.loggers import Logger
 
     from bbq_torchrl.domains import Domain
-    from bbq_torchrl.options import Config, EvaluateConfig, Option
+    from bbq_torchrl.options import Config, EvaluateConfig
 
+_LOG = logging.getLogger(__name__)
+
+FORESEEN = (ConfigError, FaultsError, TrainingError, OSError)
+"""Errors whose message says enough without a traceback."""
 
 TRIED = 500
 """Dialogues after which a scripted policy without a success counts as unusable."""
@@ -46,6 +54,38 @@ def make_domain(config: Config | EvaluateConfig) -> Domain | None:
         ValueError or OSError: the corpus is damaged or missing.
     """
     return config.domain.make() if config.env.has_domain else None
+
+
+def check_resources(config: Config) -> None:
+    """Loads what a configuration refers to: device, logger, domain and scripted policy.
+
+    Raises:
+        ConfigError: the device is absent, the logger cannot be used here, or the domain lacks the
+            scripted policy.
+        ValueError or OSError: the domain is damaged or missing.
+    """
+    check_device(config.device)
+    config.logger.check_ready()
+    domain = make_domain(config)
+    spike, policies = config.spike, config.env.policies(domain)
+    if spike.dialogues and not policies:
+        raise ConfigError(
+            f"spike must be none with env={config.env.name}, where there are no scripted "
+            f"policies, got {spike.name!r}"
+        )
+    if spike.policy not in (None, *policies):
+        raise ConfigError(
+            f"spike.policy must be one of {', '.join(policies)} or null, got {shown(spike.policy)}"
+        )
+    config.env.check_domain(domain)
+
+
+def check_device(device: str) -> None:
+    """Raises ConfigError if a device is absent."""
+    if device.startswith("cuda"):
+        found = torch.cuda.device_count()
+        if int(device.partition(":")[2] or 0) >= found:
+            raise ConfigError(f"device={device} is absent: {found} CUDA devices found; use cpu")
 
 
 def task_of(config: Config, env: EnvBase) -> Task:
@@ -72,17 +112,18 @@ def set_up_process(threads: int) -> None:
         logging.getLogger("torchrl").setLevel(logging.WARNING)
 
 
-def spike_policy(config: Config, domain: Domain | None) -> str:
+def find_spike_policy(config: Config, domain: Domain | None) -> str | None:
     """Returns the script for the spike: ``spike.policy``, else the first that succeeds or the best.
 
     The policies are tried with a fixed seed, so that all runs of a setting get the same spike. A
-    policy that cannot be played in the first round is skipped.
+    policy that cannot be played in the first round is skipped. Without a spike returns None.
 
     Raises:
         ConfigError: no policy succeeds in :data:`TRIED` dialogues.
     """
-    if config.spike.policy is not None:
-        return config.spike.policy
+    spike = config.spike
+    if not spike.dialogues or spike.policy is not None:
+        return spike.policy if spike.dialogues else None
     names = config.env.policies(domain)
     env = config.env.make(domain, (1, TRIED // 5), device=config.device)
     booked = {}
@@ -95,30 +136,27 @@ def spike_policy(config: Config, domain: Domain | None) -> str:
         env.set_seed(derive_seed(0, "env", "spike tried"))
         played = rollouts(env, policy, TRIED, max_steps=config.env.steps())
         successes = (int(episode_stats(rollout).success.sum()) for rollout in played)
-        if config.spike.takes_best:
+        if spike.takes_best:
             booked[name] = sum(successes)
         elif any(successes):
+            _LOG.info("spiking with the policy %s, the first that succeeds", name)
             return name
     if any(booked.values()):
-        return max(booked, key=booked.__getitem__)
+        best = max(booked, key=booked.__getitem__)
+        _LOG.info("spiking with the policy %s, the domain's best", best)
+        return best
     raise ConfigError(
         f"spike.policy must be a scripted policy that succeeds, and none of {', '.join(names)} "
-        f"does in {TRIED} dialogues: mend the policies of the domain, make it easier (fewer "
+        f"does in {TRIED} dialogues: fix the policies of the domain, make it easier (fewer "
         "errors, more turns), or learn without them by spike=none"
     )
 
 
 @contextmanager
 def opened_loggers(config: Config, run_folder: Path) -> Iterator[Sequence[Logger]]:
-    """Yields the loggers of a run, with its configuration logged, and closes them.
-
-    Raises:
-        ConfigError: the option did not return a list of loggers, or they cannot be used.
-    """
-    option = config.logger
-    made = option.make(run_folder, resume=config.resume is not None)
-    (given,) = _checked(option, (made,), "a list of loggers", Iterable)
-    loggers, finished = tuple(given), False
+    """Yields the loggers of a run, with its configuration logged, and closes them."""
+    option, finished = config.logger, False
+    loggers = tuple(option.make(run_folder, resume=config.resume is not None))
     try:
         flat = {key: value for key, _, value in walk(config) if key != "resume"}
         option.log_config(loggers, flat)
@@ -128,27 +166,21 @@ def opened_loggers(config: Config, run_folder: Path) -> Iterator[Sequence[Logger
         option.close(loggers, finished=finished)
 
 
-def checked_policy(option: Option, made: Any) -> Any:
-    """Checks and returns the policy and metrics that an option of ``explore`` made."""
-    return _checked(option, made, "a policy and a dict of metrics", nn.Module, Mapping)
-
-
-def checked_loss(option: Option, made: Any) -> Any:
-    """Checks and returns the loss and transforms that an option of ``intrinsic`` made."""
-    return _checked(option, made, "a loss and a list of transforms", nn.Module, (Iterable, Compose))
-
-
-def _checked(option: Option, made: Any, what: str, *kinds: type | tuple[type, ...]) -> Any:
-    """Checks and returns the parts that an option's ``make`` returned.
-
-    Raises:
-        ConfigError: a part has another type.
-    """
-    parts = made if isinstance(made, (tuple, list)) else (made,)
-    if len(parts) != len(kinds) or not all(map(isinstance, parts, kinds)):
-        got = ", ".join(type(part).__name__ for part in parts)
-        raise ConfigError(f"make of {option.group}={option.name} must return {what}, got {got}")
-    return parts
+def log_domain(config: Config, domain: Domain) -> None:
+    """Logs skipped and doubtful parts of the corpus, and slots that are never active."""
+    for text in domain.skipped:
+        _LOG.warning("left out of the domain %s: %s", domain.name, text)
+    for text in domain.doubts:
+        _LOG.warning("in the domain %s: %s", domain.name, text)
+    inactive = config.env.inactive_slots(domain)
+    named = [{*goal.constraints, *goal.requests} for goal in domain.goals]
+    if cut := sum(bool(inactive & slots) for slots in named):
+        _LOG.info(
+            "domain extension never activates %s: %d of %d goals are without them",
+            ", ".join(sorted(inactive.intersection(set().union(*named)))),
+            cut,
+            len(domain.goals),
+        )
 
 
 def transition_keys(env: EnvBase) -> list[NestedKey]:

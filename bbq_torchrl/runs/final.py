@@ -1,4 +1,4 @@
-"""The final evaluation of a run: the agent, scripted and privileged policies, and the curve."""
+"""The end of a run: final evaluation, comparison with other policies, and the curve."""
 
 from __future__ import annotations
 
@@ -13,12 +13,13 @@ import bbq_torchrl
 from bbq_torchrl.domains.domain import RANDOM_POLICY
 from bbq_torchrl.evaluation.curves import Metrics
 from bbq_torchrl.evaluation.figures import draw_run
-from bbq_torchrl.evaluation.finished_runs import Replica
+from bbq_torchrl.evaluation.finished_runs import Replica, agent_name
 from bbq_torchrl.evaluation.groups import grouped, read_groups
 from bbq_torchrl.evaluation.rollouts import evaluate
 from bbq_torchrl.evaluation.run_result import (
     RunResult,
     TrainingEvaluation,
+    best_script,
     reference_lines,
     replica_result,
     training_evaluation,
@@ -128,7 +129,7 @@ def draw_curve(
     result: RunResult,
     trainer: RoundTrainer,
     domain: Domain | None,
-    spiking: str | None,
+    spike_policy: str | None,
 ) -> None:
     """Draws the learning curve from the metrics in memory, or in the folder of a finished run."""
     rows = trainer.metrics.rows
@@ -142,8 +143,8 @@ def draw_curve(
         groups,
         title="Success: " + ", ".join(f"{key}={name}" for key, name in named.items() if name),
         spiked=None
-        if spiking is None
-        else f"spiked with {config.spike.dialogues} {spiking} dialogues",
+        if spike_policy is None
+        else f"spiked with {config.spike.dialogues} {spike_policy} dialogues",
         extensions=config.env.additions(domain),
         references=reference_lines(result.scripted, result.references),
     )
@@ -200,3 +201,33 @@ def _versions() -> dict[str, str]:
         "python": platform.python_version(),
         **{name: version(name) for name in packages},
     }
+
+
+def log_result(config: Config, folder: Path, result: RunResult) -> None:
+    """Logs the final success next to that of scripted and privileged policies."""
+    _LOG.info("%s", _result_line(config, result))
+    _LOG.info("success rate %.4f; everything is in %s", result.success_rate, folder)
+
+
+def _result_line(config: Config, result: RunResult) -> str:
+    """Returns the agent's success next to that of scripted (best first) and privileged policies."""
+    rates = [item.success_rate for item in result.per_replica]
+    spread = (
+        f", {_short(min(rates))} to {_short(max(rates))} over {len(rates)} replicas"
+        if len(rates) > 1
+        else ""
+    )
+    best = best_script(result.scripted)
+    rated = [
+        (f"best script {name}" if name == best else name, result.scripted[name])
+        for name in sorted(result.scripted, key=lambda name: name != best)
+    ] + [(f"privileged {name}", rate) for name, rate in result.references.items()]
+    others = ", ".join(f"{name.replace('_', ' ')} {_short(rate)}" for name, rate in rated)
+    name = agent_name(dataclasses.asdict(config))
+    does = "books {} of dialogues" if config.env.has_domain else "succeeds in {} of episodes"
+    return f"{name} {does.format(_short(result.success_rate))}{spread} ({others})"
+
+
+def _short(rate: float) -> str:
+    """Returns a rate with two decimals and no leading zero, such as ``.64``, or ``0`` or ``1``."""
+    return f"{rate:.2f}".lstrip("0") if 0.005 <= rate < 0.995 else f"{rate:.0f}"

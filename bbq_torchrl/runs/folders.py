@@ -1,59 +1,41 @@
-"""The folder of a run or a sweep: name, creation and lock."""
+"""The folder of a run: name, lock, configuration, and whether the run is finished."""
 
 from __future__ import annotations
 
+import dataclasses
 import os
 import platform
-import re
-from contextlib import contextmanager, suppress
-from pathlib import Path
-from typing import TYPE_CHECKING
+from contextlib import contextmanager
+from typing import TYPE_CHECKING, Any
 
+import yaml
 from filelock import FileLock, Timeout
-from omegaconf.errors import OmegaConfBaseException
 
-from bbq_torchrl.runs.overrides import key_of
-from bbq_torchrl.settings import ConfigError
-from bbq_torchrl.utils.files import CHECKPOINTS, CONFIG, HYDRA, LOCK, PROCESS, write_text
+from bbq_torchrl.options import Config, schemas, validate
+from bbq_torchrl.settings import ConfigError, filled
+from bbq_torchrl.utils.files import (
+    CHECKPOINTS,
+    CONFIG,
+    CURVE,
+    HYDRA,
+    LOCK,
+    PROCESS,
+    RESULT,
+    read_yaml,
+    write_text,
+)
 from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-    from contextlib import ExitStack
+    from collections.abc import Iterator
+    from pathlib import Path
 
-    from omegaconf import DictConfig
+    from bbq_torchrl.evaluation.run_result import RunResult
 
-
-def refuse_other_folder(overrides: Sequence[str], other: str, its: str, own: str) -> None:
-    """Refuses ``hydra.sweep.dir`` for a single run, and ``hydra.run.dir`` for a sweep."""
-    for override in overrides:
-        if re.match(rf"[+]*hydra\.{other}\.\w+=", override):
-            raise ConfigError(
-                f"{sentence(override)} is for {its}: here it is hydra.{own}.dir=<folder>"
-            )
-
-
-def run_folder(composed: DictConfig, overrides: Sequence[str], locks: ExitStack) -> Path:
-    """Returns the folder of a new run, locked: ``hydra.run.dir``, or a free default name."""
-    folder = named_folder(composed, "run")
-    if "hydra.run.dir" not in map(key_of, overrides):
-        folder = reserve(folder)
-    locks.enter_context(run_lock(folder))
-    if (folder / CONFIG).exists():
-        raise ConfigError(f"{folder} already holds a run; continue it by resume={folder}")
-    return folder
-
-
-def named_folder(composed: DictConfig, kind: str) -> Path:
-    """Returns the folder that ``hydra.run.dir`` or ``hydra.sweep.dir`` names."""
-    key = f"hydra.{kind}.dir"
-    try:
-        name = str(composed.hydra[kind].dir)
-    except OmegaConfBaseException as error:
-        raise ConfigError(f"{key} cannot be resolved: {str(error).splitlines()[0]}") from error
-    if not name.strip():
-        raise ConfigError(f"{key} must be the name of a folder, got {name!r}")
-    return Path(name)
+ANOTHER_SWEEP = (
+    "the same command continues a sweep; give another hydra.sweep.dir, or a hydra.sweep.subdir "
+    "with a separate folder for each job"
+)
 
 
 def reserve(folder: Path) -> Path:
@@ -68,12 +50,6 @@ def reserve(folder: Path) -> Path:
             candidate = folder.with_name(f"{folder.name}_{number}")
         else:
             return candidate
-
-
-def quoted(path: Path | str) -> str:
-    """Returns a path quoted for Hydra."""
-    text = os.fspath(path).replace("\\", "\\\\").replace("'", "\\'")
-    return f"'{text}'"
 
 
 def refuse_links(folder: Path) -> None:
@@ -100,37 +76,106 @@ def run_lock(folder: Path) -> Iterator[None]:
     The operating system releases the lock when the process ends, even if it is killed.
 
     Raises:
-        ConfigError: another process has the lock, the folder cannot be written, or it has links.
+        ConfigError: another process has the lock, or the folder has links.
+        OSError: the folder cannot be written, or the disk is full.
     """
+    folder.mkdir(parents=True, exist_ok=True)
+    refuse_links(folder)
+    lock = FileLock(folder.resolve() / LOCK, is_singleton=True)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
-        refuse_links(folder)
-        lock = FileLock(folder.resolve() / LOCK, is_singleton=True)
         lock.acquire(timeout=0)
     except Timeout as error:
-        raise ConfigError(
-            f"another process is at work in {folder}: wait until {_named(folder)} has ended, or "
-            "end it"
-        ) from error
-    except OSError as error:
-        raise ConfigError(
-            f"{folder} cannot be used as a run folder: {error.strerror or error}"
-        ) from error
-    note = folder / PROCESS
-    with suppress(OSError):  # the note only improves an error message
-        write_text(note, f"{os.getpid()} on {platform.node()}\n")
+        note = folder / PROCESS
+        process = note.read_text("utf-8").strip() if note.is_file() else "a process"
+        raise ConfigError(f"{folder} must be free, but {process} is at work in it") from error
     try:
+        write_text(folder / PROCESS, f"process {os.getpid()} on {platform.node()}\n")
         yield
     finally:
         if lock.lock_counter == 1:
-            with suppress(OSError):
-                note.unlink()
+            (folder / PROCESS).unlink(missing_ok=True)
         lock.release()
 
 
-def _named(folder: Path) -> str:
-    """Returns the process noted in a folder; ``it`` without a note."""
-    with suppress(OSError, ValueError):
-        if noted := re.fullmatch(r"(\d+) on ([\w.-]+)\n", (folder / PROCESS).read_text("utf-8")):
-            return f"process {noted[1]} on {noted[2]}"
-    return "it"
+def save_config(config: Config, file: Path) -> None:
+    """Writes a configuration as YAML, atomically."""
+    write_text(file, yaml.safe_dump(dataclasses.asdict(config), sort_keys=False))
+
+
+def load_config(file: Path) -> Config:
+    """Reads a configuration that :func:`save_config` wrote; references in it are plain text.
+
+    Raises:
+        ConfigError: the configuration is unreadable or invalid.
+    """
+    try:
+        plain = read_yaml(file.read_text(encoding="utf-8"))
+        if not isinstance(plain, dict):
+            raise ConfigError("it must hold a mapping of groups")
+        options = {group: _saved_option(group, plain.get(group)) for group in schemas()}
+        config = Config(**plain | options)
+        validate(config)
+    except (OSError, ValueError, TypeError) as error:  # the last one: an unknown key
+        raise ConfigError(f"{file}: {sentence(error)}") from error
+    return config
+
+
+def _saved_option(group: str, plain: Any) -> Any:
+    known = schemas()[group]
+    name = plain.get("name") if isinstance(plain, dict) else None
+    if name not in list(known):
+        raise ConfigError(
+            f"{group} must be one of {', '.join(sorted(known))}, got {name!r}: options of your own "
+            "come with an installed package or with --config-dir <folder>"
+        )
+    return filled(known[name], plain, f"{group}.")
+
+
+def run_config(folder: Path) -> Config:
+    """Returns the configuration of a run folder.
+
+    Raises:
+        ConfigError: the folder is missing or not a run folder.
+    """
+    if not (folder / CONFIG).is_file():
+        raise ConfigError(f"{folder} is not a run folder: it has no {CONFIG}")
+    return load_config(folder / CONFIG)
+
+
+def finished_result(folder: Path, rounds: int) -> RunResult | None:
+    """Returns the result of a folder; None if it is missing, unreadable or of other rounds."""
+    if not (folder / RESULT).is_file():
+        return None
+    # Imported here, since it takes a second and most folders have no result.
+    from bbq_torchrl.evaluation.run_result import read_result
+
+    try:
+        result = read_result(folder)
+    except (OSError, ValueError):
+        return None
+    return result if result.rounds == rounds else None
+
+
+def is_finished(folder: Path, rounds: int) -> bool:
+    """Returns whether a run folder has the result of this many rounds, and the curve."""
+    return finished_result(folder, rounds) is not None and (folder / CURVE).is_file()
+
+
+def restarted_config(config: Config, folder: Path, *, way: str = ANOTHER_SWEEP) -> Config:
+    """Returns the configuration of a job or trial; it resumes the run in the folder, if any.
+
+    Launchers restart a job whose worker died (Ray) or that ran out of time (SLURM).
+
+    Args:
+        config: the job's configuration for a new run.
+        folder: the job's run folder.
+        way: advice for a folder with another run. Defaults to that for a sweep.
+
+    Raises:
+        ConfigError: the folder has a run of another configuration.
+    """
+    if not (folder / CONFIG).is_file():
+        return config
+    if run_config(folder) != dataclasses.replace(config, resume=None):
+        raise ConfigError(f"{folder} already holds another run: {way}")
+    return dataclasses.replace(config, resume=str(folder))

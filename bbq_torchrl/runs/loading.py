@@ -14,9 +14,8 @@ from bbq_torchrl.options.store import register_options
 from bbq_torchrl.protocols import enter_round
 from bbq_torchrl.runs.build import make_domain
 from bbq_torchrl.runs.compose import compose_raw, session
-from bbq_torchrl.runs.job import begin
-from bbq_torchrl.runs.overrides import key_of, too_large, unreadable
-from bbq_torchrl.runs.resume import Resumption, config_fingerprint, run_config
+from bbq_torchrl.runs.folders import run_config
+from bbq_torchrl.runs.prepare import config_fingerprint, prepare_run
 from bbq_torchrl.runs.shipped import is_shipped, run_folder
 from bbq_torchrl.runs.train import make_agent, run
 from bbq_torchrl.settings import ConfigError, check, one_of
@@ -143,12 +142,6 @@ def trained_policy(
     return policy, name
 
 
-_SWEEP = (
-    "train runs one training, got a sweep: give each key one value, or use the command bbq train "
-    "--multirun"
-)
-
-
 class TrainedRun(NamedTuple):
     """The outcome of :func:`train`.
 
@@ -184,29 +177,18 @@ def train(overrides: Sequence[str] = (), *, options: Path | str | None = None) -
         >>> folder, result = train(["agent=dqn", "protocol=quick"])  # doctest: +SKIP
         >>> env, policy, config, mode = load_run(folder)  # doctest: +SKIP
     """
-    if isinstance(overrides, str):
-        raise ConfigError(f"overrides must be a list, such as [{overrides!r}], got one string")
-    for override in overrides:
-        if override.startswith("-"):
-            raise ConfigError(unreadable(override))
     if options is not None:
         load_folder(options, "options")
     threads = torch.get_num_threads()
     try:
         with ExitStack() as locks, torch.random.fork_rng(devices=[]):
-            if any(key_of(item) == "hydra.mode" and "MULTIRUN" in item for item in overrides):
-                raise ConfigError(_SWEEP)
-            if (refusal := too_large(overrides)) is not None:
-                raise ConfigError(refusal)
-            resumption = Resumption.of(overrides, locks)
             with session():
-                composed = compose_raw(overrides if resumption is None else resumption.arguments())
-                if resumption is None and composed.hydra.mode is RunMode.MULTIRUN:
-                    raise ConfigError(_SWEEP)
-                checked = begin(composed, overrides, locks, resumption)
+                composed = compose_raw(overrides)
+                if composed.hydra.mode is RunMode.MULTIRUN:
+                    raise ConfigError("train runs one training: a sweep is bbq train --multirun")
+                config = prepare_run(composed, locks)
             folder = Path(composed.hydra.run.dir).resolve()
-            result = run(checked.config, folder, domain=checked.domain, spiking=checked.spiking)
-            return TrainedRun(folder, result)
+            return TrainedRun(folder, run(config, folder))
     finally:
         torch.set_num_threads(threads)
 

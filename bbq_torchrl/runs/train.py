@@ -1,27 +1,38 @@
 """``bbq train`` and ``python train.py``: one page from the configuration to the trained agent.
 
-Hydra composes the configuration, and :mod:`bbq_torchrl.runs.job` checks it before a folder exists.
-This page has the rest: environment, actor, exploration, loss, replay with its spike, trainer,
-evaluation. Each part is made by the option that the command line chose
-(:mod:`bbq_torchrl.options`). torch and TorchRL are imported in functions, so that ``--help`` is
-fast.
+Hydra composes the configuration, and calls :class:`~bbq_torchrl.runs.prepare.Preparation`, which
+checks it before a folder exists. This page has the rest: environment, actor, exploration, loss,
+replay with its spike, trainer, evaluation. Each part is made by the option that the command line
+chose (:mod:`bbq_torchrl.options`). torch and TorchRL are imported in functions, so that ``--help``
+is fast.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import logging
+import re
+import shlex
+import sys
+from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import hydra
+from hydra.core.hydra_config import HydraConfig
+from hydra.errors import CompactHydraException
+from hydra.types import RunMode
 
 from bbq_torchrl.options.registry import conf_folder
-from bbq_torchrl.runs.job import command, job
-from bbq_torchrl.utils import interruption
+from bbq_torchrl.options.store import register_options
+from bbq_torchrl.runs.compose import quoted, take_config_dir, train_command
+from bbq_torchrl.runs.prepare import config_fingerprint, final_config
+from bbq_torchrl.runs.sweeps import run_job
+from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.files import CONFIG, RESULT
+from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
-    from pathlib import Path
 
     from omegaconf import DictConfig
     from tensordict.nn import TensorDictModuleBase
@@ -37,21 +48,36 @@ if TYPE_CHECKING:
     from bbq_torchrl.trainers.round_trainer import RoundCallback
 
 
-@command
+def main() -> None:
+    """Runs the command line: registers the options, of ``--config-dir`` too, and calls Hydra."""
+    output.escape()
+    logging.raiseExceptions = False  # a full disk is reported once, not for every message
+    with output.refusals():
+        take_config_dir(sys.argv[1:])
+        register_options()
+    try:
+        hydra_main()
+    finally:
+        interruption.exit_if_interrupted()
+
+
 @hydra.main(version_base="1.3", config_path=str(conf_folder()), config_name="config")
-def main(composed: DictConfig) -> float:
+def hydra_main(composed: DictConfig) -> float:
     """Trains and evaluates. Returns the final success rate, for sweepers."""
-    return job(composed, run)
+    from bbq_torchrl.runs import build
+
+    job = HydraConfig.get()
+    folder = Path(job.runtime.output_dir)
+    interruption.tell(how_to_continue=lambda: _how_to_continue(folder))
+    if job.mode is RunMode.MULTIRUN:
+        return run_job(composed, folder, run)
+    try:
+        return run(final_config(composed, job.overrides.task), folder).success_rate
+    except build.FORESEEN as error:
+        raise CompactHydraException(sentence(error)) from error  # printed without a traceback
 
 
-def run(
-    config: Config,
-    folder: Path,
-    callbacks: Sequence[RoundCallback] = (),
-    *,
-    domain: Domain | None = None,
-    spiking: str | None = None,
-) -> RunResult:
+def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -> RunResult:
     """Trains, evaluates and writes configuration, metrics, result, curve and checkpoints.
 
     The folder is locked during the run.
@@ -60,8 +86,6 @@ def run(
         config: the configuration; with ``resume``, the run in the folder continues.
         folder: the run folder.
         callbacks: called after every round; their exceptions end the run.
-        domain: the loaded domain; None to load it here.
-        spiking: the scripted policy of the spike; None to find it here.
 
     Raises:
         NonFiniteLossError: a loss is NaN or infinite.
@@ -72,24 +96,24 @@ def run(
         Interrupted: a signal came; all rounds are saved.
     """
     from bbq_torchrl.evaluation.run_result import flat_numbers, write_json
-    from bbq_torchrl.runs import build, final, folders, messages, resume
+    from bbq_torchrl.runs import build, final, folders
 
     with folders.run_lock(folder), build.opened_loggers(config, folder) as loggers:
         code = build.checkout()  # at the start, since the code may change during the run
         build.set_up_process(config.threads)
-        resume.save_config(dataclasses.replace(config, resume=None), folder / CONFIG)
-        domain = build.make_domain(config) if domain is None else domain
-        if spiking is None and config.spike.dialogues:
-            spiking = build.spike_policy(config, domain)
+        folders.save_config(dataclasses.replace(config, resume=None), folder / CONFIG)
+        domain = build.make_domain(config)
+        spike_policy = build.find_spike_policy(config, domain)
 
         trainer, agent = build_trainer(
-            config, folder, callbacks, domain=domain, spiking=spiking, loggers=loggers
+            config, folder, callbacks, domain=domain, spike_policy=spike_policy, loggers=loggers
         )
         # A run killed before its last file, the curve, has a result already.
-        result = None if config.resume is None else resume.result_of(folder, config.protocol.rounds)
-        if result is None:
-            messages.log_start(config, domain, spiking)
-            interruption.tell(lambda: messages.progress(trainer))
+        result = config.resume and folders.finished_result(folder, config.protocol.rounds)
+        if not result:
+            if domain is not None:
+                build.log_domain(config, domain)
+            interruption.tell(lambda: _progress(trainer))
             with interruption.on_interrupt(trainer.stop):
                 trainer.train(resume=config.resume is not None)
             interruption.check()
@@ -97,11 +121,23 @@ def run(
             write_json(result, folder / RESULT)
         if config.protocol.keep_checkpoints == "weights":
             trainer.checkpoints.keep_only("loss", "best")
-        final.draw_curve(config, folder, result, trainer, domain, spiking)  # the last file
-        messages.log_result(config, folder, result)
+        final.draw_curve(config, folder, result, trainer, domain, spike_policy)  # the last file
+        final.log_result(config, folder, result)
         numbers = {f"result/{name}": value for name, value in flat_numbers(result).items()}
         config.logger.log_result(loggers, numbers, rounds=result.rounds)
     return result
+
+
+def _progress(trainer: RoundTrainer) -> str:
+    return f"after {trainer.rounds_done} of {trainer.rounds} rounds, {trainer.rounds_saved} saved"
+
+
+def _how_to_continue(folder: Path) -> str:
+    if not (folder / CONFIG).is_file():
+        return "the same command starts again"
+    is_plain = re.fullmatch(r"[\w./~@%+:-]+", str(folder)) is not None
+    override = f"resume={folder if is_plain else quoted(folder)}"
+    return f"{shlex.join([*train_command(), override])} continues it"
 
 
 def build_trainer(
@@ -110,7 +146,7 @@ def build_trainer(
     callbacks: Sequence[RoundCallback] = (),
     *,
     domain: Domain | None = None,
-    spiking: str | None = None,
+    spike_policy: str | None = None,
     loggers: Sequence[Logger] = (),
 ) -> tuple[RoundTrainer, Agent]:
     """Makes the trainer of a run and its agent; callbacks are called after every round.
@@ -123,7 +159,6 @@ def build_trainer(
     from bbq_torchrl.data import ReplicaReplay
     from bbq_torchrl.options.task import check_env
     from bbq_torchrl.runs import build
-    from bbq_torchrl.runs.resume import config_fingerprint
     from bbq_torchrl.trainers import Learner, RoundTrainer, losses_of
 
     protocol, spike = config.protocol, config.spike
@@ -131,8 +166,7 @@ def build_trainer(
     batch = (config.replicas, protocol.dialogues)
     env = config.env.make(domain, batch, seed=config.seed, device=config.device)
     check_env(env, config.env.name, batch)
-    if spike.dialogues and spiking is None:
-        spiking = build.spike_policy(config, domain)
+    spike_policy = spike_policy or build.find_spike_policy(config, domain)
     agent = make_agent(config, env)
     replay = ReplicaReplay(
         protocol.capacity,
@@ -163,7 +197,7 @@ def build_trainer(
         keep_checkpoints=None if protocol.keep_checkpoints == "all" else 2,
         max_steps=config.env.steps(),
         seed=config.seed,
-        spike=spike.make(config.env.make_policy(spiking, env)) if spiking else None,
+        spike=spike.make(config.env.make_policy(spike_policy, env)) if spike_policy else None,
         evaluator=build.round_evaluator(config, domain, agent.actor),
         round_metrics={**agent.metrics, **build.values_as_metrics(config)},
         loggers=loggers,
@@ -205,11 +239,9 @@ def make_agent(config: Config, env: EnvBase) -> Agent:
     task = build.task_of(config, env)
     actor = config.agent.make_actor(task)
     loss = config.agent.make_loss(actor, task)
-    policy, metrics = build.checked_policy(
-        config.explore, config.explore.make(actor, config.agent.make_greedy(actor), task)
-    )
+    policy, metrics = config.explore.make(actor, config.agent.make_greedy(actor), task)
     policy, metrics = config.explore.begin_uniformly(policy, metrics, task)
-    loss, rewards = build.checked_loss(config.intrinsic, config.intrinsic.make(loss, task))
+    loss, rewards = config.intrinsic.make(loss, task)
     config.spike.imitate(losses_of(loss)[0])
     transforms = [*config.agent.make_transforms(task), *rewards]
     loss = loss.to(env.device)

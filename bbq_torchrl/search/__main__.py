@@ -16,7 +16,7 @@ from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
 
 from bbq_torchrl.options.registry import options
-from bbq_torchrl.runs.overrides import take_config_dir
+from bbq_torchrl.runs.compose import take_config_dir
 from bbq_torchrl.search.definition import SEARCH, compose_search
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
@@ -59,15 +59,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
     optuna = needed("optuna", "optuna", "search")
     try:
         search = compose_search(take_config_dir(arguments))
-        from bbq_torchrl.runs.checks import check
+        from bbq_torchrl.runs.build import check_resources
         from bbq_torchrl.runs.train import run
         from bbq_torchrl.search.study import run_search
 
         for config in search.corners:
-            check(config)
+            check_resources(config)
         logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
         optuna.logging.set_verbosity(optuna.logging.ERROR)
-        best = run_search(search, run, lambda config: check(config).domain)
+        best = run_search(search, run, check_resources)
     except interruption.Interrupted:
         output.print_error(interruption.line())
         return interruption.exit_code()

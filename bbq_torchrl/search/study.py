@@ -24,9 +24,8 @@ from sqlalchemy.pool import NullPool
 
 from bbq_torchrl.evaluation.curves import read_metrics
 from bbq_torchrl.evaluation.run_result import read_result, write_json
-from bbq_torchrl.runs.folders import refuse_links
-from bbq_torchrl.runs.overrides import train_command
-from bbq_torchrl.runs.resume import is_finished, restarted_config
+from bbq_torchrl.runs.compose import train_command
+from bbq_torchrl.runs.folders import is_finished, refuse_links, restarted_config
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import TrainingError, derive_seed
 from bbq_torchrl.utils.extras import sqlite_url
@@ -40,7 +39,6 @@ if TYPE_CHECKING:
 
     from optuna.trial import FrozenTrial
 
-    from bbq_torchrl.domains import Domain
     from bbq_torchrl.evaluation.run_result import RunResult
     from bbq_torchrl.options import Config
     from bbq_torchrl.search.definition import Search, SearchConfig
@@ -64,7 +62,7 @@ class _TrialFailed(Exception):
 def run_search(
     search: Search,
     train: Callable[..., RunResult],
-    check: Callable[[Config], Domain | None] = lambda config: None,
+    check: Callable[[Config], object] = lambda config: None,
 ) -> dict[str, Any] | None:
     """Runs trials up to ``search.trials``. Returns the best; None if no trial is complete.
 
@@ -75,9 +73,9 @@ def run_search(
     Args:
         search: the search.
         train: trains a trial, as ``bbq_torchrl.runs.train.run`` does; called with configuration,
-            folder, callbacks and ``domain=``. An OSError, such as a full disk, ends the search, and
+            folder and callbacks. An OSError, such as a full disk, ends the search, and
             the next start continues the trial; any other error fails the trial.
-        check: further checks of a trial's configuration; returns the loaded domain.
+        check: further checks of a trial's configuration.
 
     Raises:
         ConfigError: the database has another search or cannot be used.
@@ -99,7 +97,7 @@ def _run_trials(
     search: Search,
     study: optuna.Study,
     train: Callable[..., RunResult],
-    check: Callable[[Config], Domain | None],
+    check: Callable[[Config], object],
 ) -> None:
     """Plays trials until all have ended, also those of other processes."""
 
@@ -199,7 +197,7 @@ def _play(
     study: optuna.Study,
     trial: optuna.Trial,
     train: Callable[..., RunResult],
-    check: Callable[[Config], Domain | None],
+    check: Callable[[Config], object],
 ) -> float:
     """Trains a trial: new, from its last checkpoint, or finished already. Returns its value."""
     known = study.get_trials(deepcopy=False)[: trial.number]
@@ -214,13 +212,13 @@ def _play(
     _LOG.info("trial %d: %s", number, values)
     folder = search.folder / _folder_name(number)
     config = search.config(values)
-    domain = check(config)
+    check(config)
     folder.mkdir(exist_ok=True)
     config = restarted_config(config, folder, way="choose another search.folder")
     if is_finished(folder, config.protocol.rounds):
         result = read_result(folder)
     else:
-        result = train(config, folder, [_Reports(trial, search.settings)], domain=domain)
+        result = train(config, folder, [_Reports(trial, search.settings)])
     return _value(result, folder, search.settings)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import os
 import re
-from contextlib import contextmanager
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +12,6 @@ import yaml
 from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
     from pathlib import Path
 
 CONFIG = "config.yaml"
@@ -94,9 +92,6 @@ def write_bytes(path: Path, content: bytes, mode: int = 0o666) -> None:
     os.replace(temporary, path)
 
 
-_MAX_VALUES = 10_000  # that aliases may expand to; a file without aliases may have more
-
-
 class _UniqueKeyLoader(yaml.SafeLoader):
     """A safe loader that refuses duplicate keys, where YAML takes the last value."""
 
@@ -116,76 +111,18 @@ class _UniqueKeyLoader(yaml.SafeLoader):
 def read_yaml(text: str) -> Any:
     """Parses YAML into mappings, lists, texts and numbers.
 
-    YAML files from outside the package are read here, or pass :func:`check_yaml` before OmegaConf
-    reads them: a few lines of nested aliases can expand to more values than memory can hold.
-
     Raises:
-        ValueError: one sentence; it is not YAML, has a duplicate key, is nested too deeply, or its
-            aliases expand to too many values.
+        ValueError: one sentence; it is not YAML, has a duplicate key, or is nested too deeply.
 
     Examples:
         >>> read_yaml("a: [1, b]")
         {'a': [1, 'b']}
     """
-    with _one_sentence():
-        loader = _UniqueKeyLoader(text)
-        node = _checked(loader)
-        return None if node is None else loader.construct_document(node)
-
-
-def check_yaml(text: str) -> None:
-    """Checks syntax, depth and aliases as :func:`read_yaml` does, but not tags and keys.
-
-    Raises:
-        ValueError: one sentence.
-    """
-    with _one_sentence():
-        _checked(yaml.SafeLoader(text))
-
-
-@contextmanager
-def _one_sentence() -> Iterator[None]:
     try:
-        yield
-    except yaml.YAMLError as error:
-        raise ValueError(f"it is not valid YAML: {_problem(error)}") from error
-    except RecursionError as error:
-        raise ValueError("it is nested too deeply") from error
-    except (LookupError, TypeError, AttributeError, OverflowError) as error:
-        # Raised by PyYAML's constructors of tags: !!int "" is an IndexError.
-        raise ValueError("it is not valid YAML: a tag does not fit its value") from error
-
-
-def _checked(loader: yaml.SafeLoader) -> yaml.Node | None:
-    """Returns the root node of a text; refuses too many aliased values."""
-    node: yaml.Node | None = loader.get_single_node()
-    if node is not None:
-        counts: dict[int, int | None] = {}
-        if _count(node, counts) - len(counts) > _MAX_VALUES:
-            raise ValueError(
-                f"its aliases expand to more than {_MAX_VALUES} values: write the values out"
-            )
-    return node
-
-
-def _count(node: yaml.Node, counts: dict[int, int | None]) -> int:
-    """Returns the number of values in a node, counting an alias each time it is used."""
-    known = counts.get(id(node), 0)
-    if known is None:
-        raise ValueError(
-            f"an alias in line {node.start_mark.line + 1} refers to a value that contains it"
-        )
-    if not known:
-        counts[id(node)] = None  # under way
-        parts = node.value if isinstance(node, yaml.CollectionNode) else ()
-        pairs = isinstance(node, yaml.MappingNode)
-        inner = [part for pair in parts for part in pair] if pairs else parts
-        known = counts[id(node)] = 1 + sum(_count(part, counts) for part in inner)
-    return known
-
-
-def _problem(error: yaml.YAMLError) -> str:
-    """Returns the problem and its line."""
-    if not isinstance(error, yaml.MarkedYAMLError) or error.problem_mark is None:
-        return sentence(error)
-    return f"{error.problem} in line {error.problem_mark.line + 1}"
+        return yaml.load(text, _UniqueKeyLoader)
+    except yaml.MarkedYAMLError as error:
+        line = "" if error.problem_mark is None else f" in line {error.problem_mark.line + 1}"
+        raise ValueError(f"it is not valid YAML: {error.problem}{line}") from error
+    except (yaml.YAMLError, RecursionError, LookupError, TypeError, AttributeError) as error:
+        # PyYAML's constructors of tags: !!int "" is an IndexError.
+        raise ValueError(f"it is not valid YAML: {sentence(error)}") from error

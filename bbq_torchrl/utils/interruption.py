@@ -89,6 +89,11 @@ def line() -> str:
     return f"interrupted {_State.where()}: {_State.how()}"
 
 
+def stop_by(stop: Callable[[], None]) -> None:
+    """Sets the function that the first signal calls, which lets the work end by itself."""
+    _State.stop = stop
+
+
 @contextmanager
 def on_interrupt(stop: Callable[[], None]) -> Iterator[None]:
     """Calls ``stop``, which lets the work end by itself, at the first signal in the context.
@@ -113,20 +118,15 @@ def check() -> None:
         raise Interrupted
 
 
-def _handle(number: int, frame: FrameType | None) -> None:
-    first, _State.received = _State.received is None, _State.received or number
-    if first and _State.stop is not None:
-        _State.stop()
-        if _on_terminal():
-            _say("\nstopping after this round; once more: at once\n")
-    elif multiprocessing.parent_process() is None:
-        _end()
-    elif _State.stop is None:
-        # A worker of a sweep: exiting here would end the other jobs with it.
-        raise Interrupted
+def exit_if_interrupted() -> None:
+    """Prints the line and exits after a signal."""
+    if _State.received is not None:
+        _say(f"{line()}\n")
+        sys.exit(exit_code())
 
 
-def _end() -> NoReturn:
+def end() -> NoReturn:
+    """Ends this process and its workers at once, with the line."""
     for worker in multiprocessing.active_children():
         if worker.pid is not None:  # joblib's processes have no kill()
             with suppress(ProcessLookupError):
@@ -134,6 +134,19 @@ def _end() -> NoReturn:
     start = "\n" if _on_terminal() else ""  # after a progress bar
     _say(f"{start}{line()}\n")
     os._exit(exit_code())
+
+
+def _handle(number: int, frame: FrameType | None) -> None:
+    first, _State.received = _State.received is None, _State.received or number
+    if first and _State.stop is not None:
+        _State.stop()
+        if _on_terminal():
+            _say("\nstopping after this round; once more: at once\n")
+    elif multiprocessing.parent_process() is None:
+        end()
+    elif _State.stop is None:
+        # A worker of a sweep: exiting here would end the other jobs with it.
+        raise Interrupted
 
 
 def _on_terminal() -> bool:

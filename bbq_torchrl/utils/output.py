@@ -7,12 +7,11 @@ itself would print a traceback, or return another exit code.
 from __future__ import annotations
 
 import argparse
-import errno
 import os
 import sys
-from contextlib import contextmanager, redirect_stdout, suppress
+from contextlib import contextmanager, suppress
 from functools import wraps
-from io import StringIO, TextIOWrapper
+from io import TextIOWrapper
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, ParamSpec
 
@@ -20,11 +19,13 @@ from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator
-    from typing import TextIO
 
 _PACKAGE = Path(__file__).resolve().parent.parent
 
 Given = ParamSpec("Given")
+
+REFUSED = 2
+"""Exit code of a command that an error of the user ended."""
 
 NOT_WRITTEN = 1
 """Exit code when standard output cannot be written."""
@@ -41,16 +42,13 @@ def write(text: str) -> None:
             :data:`NOT_WRITTEN` after a message.
     """
     try:
-        if sys.stdout is None:  # closed before Python started
-            raise OSError(errno.EBADF, os.strerror(errno.EBADF))
         escape()
         sys.stdout.write(text)
         sys.stdout.flush()
-    except BrokenPipeError:
-        _discard(sys.stdout)
-        sys.exit(NO_READER)
     except OSError as error:
-        _discard(sys.stdout)
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for Python's last flush
+        if isinstance(error, BrokenPipeError):
+            sys.exit(NO_READER)
         print_error(f"error: standard output cannot be written: {sentence(error)}")
         sys.exit(NOT_WRITTEN)
 
@@ -63,53 +61,42 @@ def escape() -> None:
 
 def print_error(line: str) -> None:
     """Prints a line to standard error, if possible."""
-    if sys.stderr is not None:
-        try:
-            sys.stderr.write(f"{line}\n")
-            sys.stderr.flush()
-        except OSError:
-            _discard(sys.stderr)
+    with suppress(OSError):
+        sys.stderr.write(f"{line}\n")
+        sys.stderr.flush()
 
 
-def refusing(main: Callable[Given, int]) -> Callable[Given, int]:
-    """Decorates a command: an error of the user prints one sentence and returns exit code 2.
+@contextmanager
+def refusals() -> Iterator[None]:
+    """In the context, an error of the user prints one sentence and exits with code 2.
 
     Such errors are ValueError, OSError and the missing library of an extra.
     """
+    try:
+        yield
+    except (ValueError, OSError, ModuleNotFoundError) as error:
+        print_error(f"error: {sentence(error)}")
+        sys.exit(REFUSED)
+
+
+def refusing(main: Callable[Given, int]) -> Callable[Given, int]:
+    """Decorates a command: :func:`refusals`, with the exit code returned."""
 
     @wraps(main)
     def refused(*args: Given.args, **kwargs: Given.kwargs) -> int:
         try:
-            return main(*args, **kwargs)
-        except (ValueError, OSError, ModuleNotFoundError) as error:
-            print_error(f"error: {sentence(error)}")
-            return 2
+            with refusals():
+                return main(*args, **kwargs)
+        except SystemExit as end:
+            if end.code != REFUSED:
+                raise
+            return REFUSED
 
     return refused
 
 
-@contextmanager
-def collected() -> Iterator[None]:
-    """Collects standard output in the context, and prints it by :func:`write`."""
-    text = StringIO()
-    try:
-        with redirect_stdout(text):
-            yield
-    finally:
-        write(text.getvalue())
-
-
-def settle() -> None:
-    """Flushes standard output at the end of a command; discards what cannot be written."""
-    if sys.stdout is not None:
-        try:
-            sys.stdout.flush()
-        except OSError:
-            _discard(sys.stdout)
-
-
 class Parser(argparse.ArgumentParser):
-    """argparse's parser with help printed by :func:`write`, and the description left as written.
+    """argparse's parser with the description left as written.
 
     argparse would break the path of a page at a hyphen.
     """
@@ -117,13 +104,6 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, **kwargs: Any) -> None:
         raw = argparse.RawDescriptionHelpFormatter
         super().__init__(**{"formatter_class": raw, **kwargs})
-
-    def print_help(self, file: Any = None) -> None:
-        """Prints the help, on standard output unless a file is given."""
-        if file is None:
-            write(self.format_help())
-        else:
-            super().print_help(file)
 
 
 def between(kind: type[int] | type[float], low: float, high: float) -> Callable[[str], float]:
@@ -161,11 +141,3 @@ def page(name: str) -> Path:
     """
     within = _PACKAGE / "docs" / f"{name}.md"
     return within if within.is_file() else _PACKAGE.parent / "docs" / f"{name}.md"
-
-
-def _discard(stream: TextIO | None) -> None:
-    """Redirects a stream to nowhere, so that Python's last flush does not fail."""
-    if stream is not None:
-        nowhere = os.open(os.devnull, os.O_WRONLY)
-        os.dup2(nowhere, stream.fileno())
-        os.close(nowhere)

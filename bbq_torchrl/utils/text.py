@@ -1,9 +1,7 @@
-"""Error messages, with values shortened and secrets hidden, and texts that people type."""
+"""Error messages with shortened values, and texts that people type."""
 
 from __future__ import annotations
 
-import os
-import re
 import reprlib
 import unicodedata
 from typing import TYPE_CHECKING
@@ -15,9 +13,6 @@ if TYPE_CHECKING:
 _VALUE = 200  # characters of a value: more than anybody types
 _LINE = 5_000  # characters of a sentence
 _FAULTS = 100  # lines
-_SHORTEST_SECRET = 4  # characters
-
-_concealed: dict[str, str] = {}  # secret -> the text shown instead
 
 
 class FaultsError(ValueError):
@@ -51,30 +46,6 @@ class FaultsError(ValueError):
         return "\n  ".join(lines)
 
 
-def conceal_environment(text: str) -> None:
-    """Hides from errors the values of the environment variables that a text refers to.
-
-    ``${oc.env:NAME}`` may keep a secret out of the command line. From now on errors show the
-    reference instead of its value, if the value has at least four characters.
-
-    Args:
-        text: a text that OmegaConf resolves.
-    """
-    for reference, name in re.findall(r"(\$\{\s*oc\.env\s*:\s*['\"]?([^'\",}\s]+))", text):
-        value = os.environ.get(name, "")
-        if len(value) >= _SHORTEST_SECRET:
-            written = reference.rstrip("'\"") + "}"
-            for spelling in (value, repr(value)[1:-1], " ".join(value.split())):
-                _concealed[spelling] = written
-
-
-def _without_secrets(text: str) -> str:
-    """Returns a text with its secrets replaced."""
-    for value in sorted(_concealed, key=len, reverse=True):
-        text = text.replace(value, _concealed[value])
-    return text
-
-
 def shown(value: object) -> str:
     """Returns the ``repr`` of a value, shortened in the middle.
 
@@ -85,7 +56,7 @@ def shown(value: object) -> str:
         True
     """
     written = repr(value) if isinstance(value, str) else _container(value)
-    return _cut(_without_secrets(written), _VALUE)
+    return _cut(written, _VALUE)
 
 
 def as_typed(value: object) -> str:
@@ -114,7 +85,7 @@ def sentence(error: object) -> str:
 
 
 def _one_line(text: str) -> str:
-    return _cut(" ".join(_without_secrets(text).split()), _LINE)
+    return _cut(" ".join(text.split()), _LINE)
 
 
 def _container(value: object) -> str:

@@ -30,11 +30,6 @@ def without_reader():
     return write
 
 
-def collected(text):
-    with output.collected():
-        print(text)
-
-
 def test_a_command_that_nobody_reads_ends_without_a_word(standard_output, capsys):
     standard_output(without_reader())
     with pytest.raises(SystemExit) as end:
@@ -44,28 +39,16 @@ def test_a_command_that_nobody_reads_ends_without_a_word(standard_output, capsys
 
 
 @pytest.mark.skipif(not os.path.exists("/dev/full"), reason="needs /dev/full")
-@pytest.mark.parametrize("write", [output.write, collected])
-def test_what_a_full_disk_takes_no_more_is_a_sentence(standard_output, capsys, write):
+def test_what_a_full_disk_takes_no_more_is_a_sentence(standard_output, capsys):
     standard_output(os.open("/dev/full", os.O_WRONLY))
     with pytest.raises(SystemExit) as end:
-        write("text")
+        output.write("text")
     assert end.value.code == output.NOT_WRITTEN
     error = capsys.readouterr().err
     assert error == "error: standard output cannot be written: No space left on device\n"
-
-
-def test_what_was_logged_and_cannot_be_written_is_let_go(standard_output):
-    standard_output(without_reader())
-    print("logged")
-    output.settle()
 
 
 def test_an_encoding_without_a_character_is_no_error(standard_output, tmp_path):
     standard_output(tmp_path / "file", encoding="ascii")
     output.write("1 ± 2\n")
     assert (tmp_path / "file").read_text() == "1 \\xb1 2\n"
-
-
-def test_a_line_for_a_closed_standard_error_is_let_go(monkeypatch):
-    monkeypatch.setattr(sys, "stderr", None)
-    output.print_error("error: something")

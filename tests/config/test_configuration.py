@@ -11,7 +11,7 @@ from bbq_torchrl.options import explorations, registry
 from bbq_torchrl.options.registry import options
 from bbq_torchrl.options.task import replica_values
 from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.runs.resume import load_config, save_config
+from bbq_torchrl.runs.folders import load_config, save_config
 
 RECIPES = {  # the paper's name, network, exploration, target, intrinsic reward
     "agents/dqn": ("DQN", "dqn", "epsilon_greedy", None, None),

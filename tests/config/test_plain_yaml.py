@@ -5,40 +5,20 @@ from __future__ import annotations
 import pytest
 import yaml
 
-from bbq_torchrl.people.study.plan import StudyError, load_study
 from bbq_torchrl.runs.sweeps import table_of_runs
-from bbq_torchrl.utils.files import check_yaml, read_yaml
+from bbq_torchrl.utils.files import read_yaml
 
-
-def doubled(first, pattern):
-    """Returns lines of which each expands to eight times the one before."""
-    lines = [f"a0: &a0 {first}"]
-    for number in range(1, 30):
-        aliases = ", ".join([f"*a{number - 1}"] * 8)
-        lines.append(f"a{number}: &a{number} {pattern % aliases}")
-    return "\n".join(lines) + "\n"
-
-
-BOMBS = {
-    "lists": doubled("[x]", "[%s]"),
-    "merges": doubled("{x: 1}", "{<<: [%s]}"),
-    "keys": doubled("[x]", "{? [%s] : 1}"),
-}
-TOO_MUCH = "its aliases expand to more than 10000 values"
 FAULTS = {
-    **dict.fromkeys(BOMBS.values(), TOO_MUCH),
-    "a: &a [*a]": "an alias in line 1 refers to a value that contains it",
-    "a: &a {b: {c: *a}}": "an alias in line 1 refers to a value that contains it",
-    "[" * 50_000: "it is nested too deeply",
+    "[" * 50_000: "it is not valid YAML: maximum recursion depth",
     "a: [": "it is not valid YAML: expected the node content, but found '<stream end>' in line 1",
     "a: *b": "it is not valid YAML: found undefined alias 'b' in line 1",
     "a: \x00": "it is not valid YAML: ",
 }
 OF_VALUES = {
     "a: 1\na: 2": "keys must be given once, got 'a' again in line 2",
-    '!!int ""': "a tag does not fit its value",
-    "!!bool x": "a tag does not fit its value",
-    "!!timestamp x": "a tag does not fit its value",
+    '!!int ""': "it is not valid YAML",
+    "!!bool x": "it is not valid YAML",
+    "!!timestamp x": "it is not valid YAML",
     "2001-99-99": "month must be in 1..12",
     "!!python/object/apply:os.system [x]": "could not determine a constructor for the tag",
     "9" * 5_000: "Exceeds the limit",
@@ -46,10 +26,9 @@ OF_VALUES = {
 
 
 @pytest.mark.parametrize(("text", "says"), FAULTS.items(), ids=range(len(FAULTS)))
-@pytest.mark.parametrize("read", [read_yaml, check_yaml])
-def test_what_cannot_be_values_is_refused_at_once(read, text, says):
+def test_what_cannot_be_values_is_refused_at_once(text, says):
     with pytest.raises(ValueError, match=says.replace("[", r"\[")):
-        read(text)
+        read_yaml(text)
 
 
 @pytest.mark.parametrize(("text", "says"), OF_VALUES.items(), ids=range(len(OF_VALUES)))
@@ -64,20 +43,11 @@ def test_aliases_that_save_some_lines_and_long_texts_are_read():
     long = yaml.safe_dump({"values": list(range(20_000))})
     assert read_yaml(long)["values"][-1] == 19_999
     assert read_yaml("") is None
-    check_yaml(shared + long)
 
 
-@pytest.mark.parametrize("bomb", BOMBS.values(), ids=BOMBS)
-def test_a_study_file_of_aliases_is_refused_at_once(tmp_path, bomb):
-    file = tmp_path / "study.yaml"
-    file.write_text(bomb)
-    with pytest.raises(StudyError, match=TOO_MUCH):
-        load_study(file)
-
-
-@pytest.mark.parametrize("noted", [*BOMBS.values(), "[", "a: 1", "- [1]", "3"])
+@pytest.mark.parametrize("noted", ["[", "a: 1", "- [1]", "3"])
 def test_a_sweep_is_shown_whatever_its_overrides_hold(tmp_path, noted):
     (tmp_path / "0" / ".hydra").mkdir(parents=True)
     (tmp_path / "0" / "config.yaml").write_text("seed: 0\n")
     (tmp_path / "0" / ".hydra" / "overrides.yaml").write_text(noted)
-    assert table_of_runs(tmp_path, 1).splitlines()[-1].split()[0] == "0"
+    assert table_of_runs(tmp_path).splitlines()[-1].split()[0] == "0"

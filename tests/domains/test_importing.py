@@ -13,7 +13,7 @@ from bbq_torchrl.cli import calibrate, console
 from bbq_torchrl.domains import REQUIRED_ACTS, Goal, load_domain
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
 from bbq_torchrl.evaluation.rollouts import evaluate
-from bbq_torchrl.runs.build import spike_policy
+from bbq_torchrl.runs.build import find_spike_policy
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import run
 
@@ -91,7 +91,7 @@ def test_a_corpus_of_taxis_is_imported_plays_and_trains(imported, tmp_path):
     for env in ("full", "domain_ext"):
         config = compose([*TINY, *where, f"env={env}", "protocol.rounds=1", "spike.policy=null"])
         name = {"full": "careful", "domain_ext": "rule"}[env]  # there is no car in the first round
-        assert spike_policy(config, domain) == name
+        assert find_spike_policy(config, domain) == name
         assert run(config, tmp_path / env).rounds == 1
 
 

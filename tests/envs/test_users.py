@@ -6,22 +6,22 @@ import json
 
 import pytest
 import torch
-from omegaconf import OmegaConf
 
 from bbq_torchrl.cli.evaluate import main
 from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, scripted_policy
-from bbq_torchrl.runs.compose import compose, read_config
+from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.folders import load_config, save_config
 
 MIX = [{"share": 0.25, "tells": [1, 2], "insists": 1}, {"share": 0.75, "changes_mind": 0.5}]
 TEXT = "[{share: .25, tells: [1, 2], insists: 1}, {share: .75, changes_mind: .5}]"
 
 
-def test_a_mix_of_the_command_line_is_that_of_the_saved_configuration():
+def test_a_mix_of_the_command_line_is_that_of_the_saved_configuration(tmp_path):
     for text, value in ((TEXT, MIX), ("{tells: [1, 1]}", {"tells": [1, 1]}), ("people", "people")):
         config = compose([f"env.users={text}"])
         assert config.env.users == value
-        saved = OmegaConf.to_yaml(OmegaConf.structured(config))
-        assert read_config(OmegaConf.create(saved)) == config
+        save_config(config, tmp_path / "config.yaml")
+        assert load_config(tmp_path / "config.yaml") == config
 
 
 def test_an_evaluation_plays_with_the_users_that_it_names(capsys):

@@ -15,7 +15,7 @@ from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation import compare_runs
 from bbq_torchrl.evaluation.curves import read_metrics
 from bbq_torchrl.options import explorations, registry
-from bbq_torchrl.runs.checks import check
+from bbq_torchrl.runs.build import check_resources
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import build_trainer, run
 from bbq_torchrl.search.definition import compose_search
@@ -54,7 +54,7 @@ def test_its_keys_are_checked_and_it_is_not_spiked_without_scripted_policies():
     with pytest.raises(ConfigError, match=r"explore\.draws must be an integer from 2 to .*, got 1"):
         compose(["explore=ucb", "explore.draws=1"])
     with pytest.raises(ConfigError, match="spike must be none with env=chain"):
-        check(compose(["env=chain", "protocol=quick"]))
+        check_resources(compose(["env=chain", "protocol=quick"]))
 
 
 def makes_chains(batch_size=(2, 3), features=None, action=None):

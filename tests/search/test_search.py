@@ -21,7 +21,7 @@ import pytest
 from tiny import rows
 
 from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.runs.resume import save_config
+from bbq_torchrl.runs.folders import save_config
 from bbq_torchrl.search.__main__ import main
 from bbq_torchrl.search.definition import Search, compose_search
 from bbq_torchrl.settings import ConfigError

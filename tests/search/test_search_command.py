@@ -10,7 +10,7 @@ import forked
 import pytest
 from tiny import TINY, rows
 
-from bbq_torchrl.runs.resume import run_config
+from bbq_torchrl.runs.folders import run_config
 from bbq_torchrl.search.__main__ import main
 
 pytest.importorskip("optuna", reason="needs the extra search")
