@@ -20,7 +20,7 @@ from pathlib import Path
 from typing import Any
 
 from bbq_torchrl.evaluation.curves import booked, rounds_to_reach
-from bbq_torchrl.evaluation.finished_runs import read_run
+from bbq_torchrl.evaluation.finished_runs import read_runs
 from bbq_torchrl.utils import output
 
 RESULT = Path(__file__).parents[1] / "results" / "unspiked.csv"
@@ -37,7 +37,7 @@ def rows(folder: Path) -> list[dict[str, Any]]:
         if cell["cell"] in missing:
             output.write(f"missing: {cell['cell']}\n")
             continue
-        for replica in read_run(folder / domain / "errors_reference" / agent):
+        for replica in read_runs(folder / domain / "errors_reference" / agent):
             success = replica.metrics["success_rate"][:, [replica.number]]
             size = int(replica.metrics["dialogues"][0, replica.number])
             dialogues = len(success) * size

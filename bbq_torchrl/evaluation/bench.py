@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bbq_torchrl.evaluation.curves import Reach, booked, rounds_to_reach
+from bbq_torchrl.evaluation.curves import LEVEL, Reach, booked, rounds_to_reach
 from bbq_torchrl.evaluation.figures import draw_bands
-from bbq_torchrl.evaluation.finished_runs import read_run
+from bbq_torchrl.evaluation.finished_runs import read_runs
 from bbq_torchrl.evaluation.pairs import difference
 from bbq_torchrl.utils.reports import NONE, Report, Table
 from bbq_torchrl.utils.statistics import (
@@ -30,9 +30,6 @@ from bbq_torchrl.utils.statistics import (
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
     from pathlib import Path
-
-LEVEL = 0.5
-"""Training success whose first dialogue is reported."""
 
 TRIES = (1, 2, 4, 8)
 """Values of k in pass^k."""
@@ -74,7 +71,7 @@ def rows_of(
         wins: those that succeeded, the same shape.
     """
     rows = []
-    for replica in read_run(folder):
+    for replica in read_runs(folder):
         metrics, own, number = replica.metrics, replica.own, replica.number
         success, size = metrics["success_rate"][:, [number]], int(metrics["dialogues"][0, number])
         row: Row = {"agent": agent, "domain": setting[0], "errors": setting[1]}
@@ -223,11 +220,11 @@ def _setting_table(found: Mapping[str, Sequence[Row]], budgets: Sequence[int]) -
 
     table: list[Row] = []
     for agent, rows in found.items():
-        reach = Reach(tuple(column(f"dialogues to {LEVEL}", rows)), budgets[-1], 1)
+        reach = Reach(tuple(column(f"dialogues to {LEVEL}", rows)), budgets[-1])
         row: Row = {"agent": agent, "seeds": len(rows)}
         for name in ("booked after", "success after"):
             row |= {f"{name} {b:,}": estimate(column(f"{name} {b}", rows)) for b in budgets}
-        row[f"dialogues to {LEVEL}"] = f"{reach.shown(reach.median)} ({reach.reached})"
+        row[f"dialogues to {LEVEL}"] = reach
         row["reward"] = float(np.mean(column("reward", rows)))
         passed = {f"pass^{k}": column(f"pass^{k}", rows) for k in TRIES}
         row |= {k: NONE if math.isnan(sum(of)) else estimate(of) for k, of in passed.items()}

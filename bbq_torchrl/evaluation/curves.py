@@ -2,65 +2,58 @@
 
 from __future__ import annotations
 
+import csv
 import math
 from dataclasses import dataclass
 from statistics import median_low
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from scipy import integrate, stats
+from scipy import integrate
 
 from bbq_torchrl.utils.files import METRICS
-from bbq_torchrl.utils.statistics import CONFIDENCE
-from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
     from pathlib import Path
 
-
 _NEEDED = ("round", "replica", "dialogues", "success_rate")
-
-
-def _number(text: str, column: str) -> float:
-    """Parses a value of metrics.csv; an empty one is NaN, refused in required columns."""
-    value = float(text or "nan")
-    if column in _NEEDED and not math.isfinite(value):
-        raise ValueError(f"{column} must be a number")
-    return value
 
 
 class Metrics:
     """The columns of a metrics.csv.
 
     Args:
-        columns: name -> values, shape [rounds, replicas].
+        rows: column -> value of each round and replica, replica after replica and round after
+            round; an incomplete last round is left out.
 
     Attributes:
+        columns: name -> values, shape [rounds, replicas].
         rounds: number of complete rounds.
         replicas: number of replicas.
+
+    Raises:
+        ValueError: no complete round, rows that are not in order, or a number that is missing.
     """
 
-    def __init__(self, columns: dict[str, Any]) -> None:
-        self.columns = columns
-        self.rounds, self.replicas = columns["success_rate"].shape
-
-    @classmethod
-    def of(cls, rows: Sequence[Mapping[str, float]]) -> Metrics:
-        """Returns the metrics of a trainer's rows, replica after replica and round after round."""
-        replicas = sum(row["round"] == rows[0]["round"] for row in rows)
-        table = np.array([list(row.values()) for row in rows], dtype=float)
-        columns = table.reshape(-1, replicas, table.shape[1])
-        return cls({name: columns[..., index] for index, name in enumerate(rows[0])})
+    def __init__(self, rows: Sequence[Mapping[str, float]]) -> None:
+        self.replicas = max(1, sum(row["round"] == 0 for row in rows))
+        self.rounds = len(rows) // self.replicas
+        if self.rounds == 0:
+            raise ValueError("there is no complete round")
+        complete = rows[: self.rounds * self.replicas]
+        table = np.array([[*row.values()] for row in complete], dtype=float)
+        table = table.reshape(self.rounds, self.replicas, -1)
+        self.columns = {name: table[..., place] for place, name in enumerate(rows[0])}
+        expected = np.ogrid[: self.rounds, : self.replicas]
+        for name, numbers in zip(("round", "replica"), expected, strict=True):
+            if not (self[name] == numbers).all():
+                raise ValueError("there must be a row for each round and replica, in order")
+        if not np.isfinite([self[name] for name in _NEEDED]).all():
+            raise ValueError(f"{', '.join(_NEEDED)} must be numbers")
 
     def __getitem__(self, name: str) -> Any:
-        """Returns a column, shape [rounds, replicas].
-
-        Raises:
-            KeyError: an unknown column; the message lists the known ones.
-        """
-        if name not in self.columns:
-            raise KeyError(f"metrics have no column {name!r}, only {', '.join(self.columns)}")
+        """Returns a column, shape [rounds, replicas]."""
         return self.columns[name]
 
     @property
@@ -71,52 +64,34 @@ class Metrics:
 
 
 def read_metrics(folder: Path) -> Metrics:
-    """Reads the metrics.csv of a result folder, without an incomplete last round.
+    """Reads the metrics.csv of a run folder, without an incomplete last round or line.
 
     Empty cells, such as those of evaluations that other rounds have, are NaN.
 
     Raises:
-        ValueError: the file is missing or a line is damaged; the message names file and line.
+        ValueError: the file is missing or damaged.
     """
     file = folder / METRICS
     if not file.is_file():
         raise ValueError(f"{folder} has no {METRICS}: it is not a run folder")
+    complete, *_ = file.read_text(encoding="utf-8-sig").rpartition("\n")
     try:
-        text = file.read_text(encoding="utf-8-sig")
-    except UnicodeDecodeError as error:
-        raise ValueError(f"{file} must be UTF-8 text: {error}") from error
-    head, *lines = text[: text.rfind("\n") + 1].splitlines() or [""]
-    names = head.split(",")
-    for needed in _NEEDED:
-        if needed not in names:
-            raise ValueError(f"{file} must have the column {needed}, got {', '.join(names)}")
-    rows: list[list[float]] = []
-    for number, line in enumerate(lines, 2):
-        try:
-            values = zip(line.split(","), names, strict=True)
-            rows.append([_number(text, column) for text, column in values])
-        except ValueError as error:
-            raise ValueError(f"{file}, line {number}, is damaged: {shown(line)}") from error
-    # At least one, so that rows without round 0 are refused below.
-    replicas = max(1, sum(row[names.index("round")] == 0 for row in rows))
-    rounds = len(rows) // replicas
-    if rounds == 0:
-        raise ValueError(f"{file} has no complete round")
-    table = np.array(rows[: rounds * replicas]).reshape(rounds, replicas, len(names))
-    columns = {name: table[..., index] for index, name in enumerate(names)}
-    in_order = (columns["replica"] == np.arange(replicas)).all() and (
-        columns["round"] == np.arange(rounds)[:, None]
-    ).all()
-    if not in_order:
-        raise ValueError(f"{file} must have a row for each round and replica, in order")
-    return Metrics(columns)
+        rows = csv.DictReader(complete.splitlines(), restval="?")  # a missing cell is no number
+        return Metrics([numbers(row) for row in rows])
+    except (ValueError, TypeError, KeyError) as error:
+        raise ValueError(f"{file} is damaged: {error}") from error
 
 
-LEVELS = (0.5, 0.6, 0.7, 0.8)
-"""Success rates whose first round is reported."""
+def numbers(row: Mapping[str, str]) -> dict[str, float]:
+    """Returns a row of CSV as numbers; empty cells are NaN."""
+    return {name: float(text or "nan") for name, text in row.items()}
+
 
 FIRST = (500, 1_000, 2_000, 5_000)
 """Numbers of first training dialogues whose success is reported: the early cost of exploring."""
+
+LEVEL = 0.5
+"""Training success for which the number of dialogues is reported."""
 
 WINDOW = 5
 """Rounds averaged to reach a level in training: 250 dialogues have a standard error of .03."""
@@ -124,66 +99,34 @@ WINDOW = 5
 
 @dataclass(frozen=True)
 class Reach:
-    """The time that the seeds of a group took to reach a success rate.
+    """The training dialogues that the seeds of a group took to reach a success rate.
 
     Attributes:
-        rounds: training rounds until then, per seed; infinite if it was not reached.
-        trained: rounds of the whole training.
-        dialogues: dialogues per round.
+        dialogues: of each seed; infinite if it was not reached.
+        trained: dialogues of the whole training.
     """
 
-    rounds: tuple[float, ...]
+    dialogues: tuple[float, ...]
     trained: int
-    dialogues: int
 
     @property
     def reached(self) -> int:
         """The number of seeds that reached the rate."""
-        return sum(map(math.isfinite, self.rounds))
+        return sum(map(math.isfinite, self.dialogues))
 
     @property
     def median(self) -> float:
-        """The rounds after which half of the seeds had reached the rate; infinite if fewer did."""
-        return median_low(self.rounds)
-
-    @property
-    def interval(self) -> tuple[float, float]:
-        """The distribution-free 95 % interval of the median; NaN below six seeds."""
-        found = stats.quantile_test(self.rounds, p=0.5).confidence_interval(CONFIDENCE)
-        return float(found.low), float(found.high)
+        """The dialogues after which half of the seeds had reached it; infinite if fewer did."""
+        return median_low(self.dialogues)
 
     def csv_columns(self) -> dict[str, float]:
         """Returns suffixes of CSV columns and their numbers."""
-        low, high = self.interval
-        return {
-            "": self.median,
-            "_low": low,
-            "_high": high,
-            "_reached": self.reached,
-            "_dialogues": self.median * self.dialogues,
-        }
-
-    def shown(self, rounds: float, unit: int = 1) -> str:
-        """Returns rounds multiplied by ``unit`` as text, such as ``38`` or ``> 150``."""
-        if math.isinf(rounds):
-            return f"> {self.trained * unit:,}"
-        return f"{rounds * unit:,.0f}"
+        return {"": self.median, "_reached": self.reached}
 
     def __str__(self) -> str:
-        """Returns rounds, interval, dialogues and seeds, as in ``38 [34, 45] (1,900), 9 of 10``."""
-        if self.reached == 0:
-            return "not reached"
-        low, high = self.interval
-        interval = "" if math.isnan(low) else f" [{self.shown(low)}, {self.shown(high)}]"
-        text = f"{self.shown(self.median)}{interval} ({self.shown(self.median, self.dialogues)})"
-        seeds = len(self.rounds)
-        return text if self.reached == seeds else f"{text}, {self.reached} of {seeds}"
-
-
-def reach(success: Any, level: float, dialogues: int, window: int = WINDOW) -> Reach:
-    """Returns the time that the seeds took to reach a level; see :func:`rounds_to_reach`."""
-    rounds = rounds_to_reach(success, level, window)
-    return Reach(tuple(rounds.tolist()), len(success), dialogues)
+        """Returns the median, and how many seeds reached it: ``1,900 (9 of 10)``."""
+        text = f"{self.median:,.0f}" if math.isfinite(self.median) else f"> {self.trained:,}"
+        return f"{text} ({self.reached} of {len(self.dialogues)})"
 
 
 def rounds_to_reach(success: Any, level: float, window: int = WINDOW) -> Any:

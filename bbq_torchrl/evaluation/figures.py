@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bbq_torchrl.utils.reports import save
+from bbq_torchrl.utils.reports import COLORS, add_legend, save, subplots
 from bbq_torchrl.utils.statistics import estimate
 
 if TYPE_CHECKING:
@@ -25,11 +25,6 @@ MIN_BAND = 5
 WINDOW = 10
 """Rounds averaged in the thick curves: 500 dialogues have a standard error of .02."""
 
-LEGEND_HEIGHT = 1.0
-"""Inches of a figure's height for the legend; a higher legend makes the figure grow."""
-
-# Okabe and Ito's palette, also for color-blind readers.
-COLORS = ("#0072B2", "#D55E00", "#009E73", "#CC79A7", "#E69F00", "#56B4E9", "#000000")
 DASHES = ("-", "--", ":")
 
 
@@ -70,7 +65,7 @@ def draw_run(
         extensions: round -> slot that the domain gained.
         references: label -> success rate to compare with.
     """
-    figure, axes = _axes()
+    figure, (axes,) = subplots(1)
     end = groups[0].first.rounds
     for group, color in zip(groups, _colors(len(groups)), strict=True):
         mean = float(np.mean(group.final))
@@ -98,110 +93,38 @@ def draw_run(
             axes.text(start, 1.0, f" {slot}", rotation=90, va="top", ha="left", fontsize=7)
     _draw_references(axes, references or {})
     axes.set(xlabel="round", ylabel="success rate", xlim=(0, None), ylim=(0, 1), title=title)
-    save(_finished(figure, [axes]), file)
+    add_legend(figure)
+    save(figure, file)
 
 
 def draw_comparison(
-    groups: Sequence[Group], *, title: str, references: Mapping[str, float] | None = None
+    panels: Mapping[str, Sequence[Group]],
+    *,
+    title: str,
+    references: Mapping[str, float] | None = None,
 ) -> Figure:
     """Draws groups of seeds: every seed's training success, the mean, and its 95 % band.
 
     The band is the t interval of the mean over seeds (five or more), round by round.
 
     Args:
-        groups: one for each setting.
-        title: the heading.
+        panels: heading of a panel -> its groups. A group may be in several.
+        title: the heading of the figure.
         references: label -> success rate to compare with.
     """
-    figure, axes = _axes()
-    for group, color in zip(groups, _colors(len(groups)), strict=True):
-        _draw_training(axes, group, color, band=True)
-    _draw_references(axes, references or {})
-    axes.set(xlabel="round", ylabel="success rate", xlim=(0, None), ylim=(0, 1), title=title)
-    return _finished(figure, [axes])
-
-
-def draw_families(
-    families: Mapping[str, Sequence[Group]],
-    *,
-    title: str,
-    references: Mapping[str, float] | None = None,
-) -> Figure:
-    """Draws a column for each family of groups, as :func:`draw_comparison` draws groups.
-
-    The rows are training success, success of evaluations during training, and training reward, if
-    any group has them.
-
-    Args:
-        families: heading of a column -> its groups. A group may be in several.
-        title: the heading.
-        references: label -> success rate to compare with.
-    """
-    groups = [group for family in families.values() for group in family]
-    names = {"success": "training success"}
-    if any(group.evaluation is not None for group in groups):
-        names["evaluation"] = "success in evaluation"
-    if any(group.curves("reward") is not None for group in groups):
-        names["reward"] = "training reward"
-    figure, axes = _axes(rows=len(names), columns=len(families), shared=True)
-    grid = np.reshape(axes, (len(names), len(families)))
-    for (heading, family), column in zip(families.items(), grid.T, strict=True):
-        drawn = dict(zip(names, column, strict=True))
-        for group, color in zip(family, _colors(len(family)), strict=True):
-            _draw_training(drawn["success"], group, color, band=True)
-            if "evaluation" in drawn and group.evaluation is not None:
-                _draw_evaluated(drawn["evaluation"], group.evaluation, color, "-", band=True)
-            if "reward" in drawn and (rewards := group.curves("reward")) is not None:
-                reward = moving_average(rewards)
-                _draw_seeds(drawn["reward"], np.arange(len(reward)), reward, color, "-", band=True)
-        for name, axes in drawn.items():
-            if name != "reward":
-                _draw_references(axes, references or {})
-                axes.set(ylim=(0, 1))
-            axes.margins(x=0)
-        drawn["success"].set(title=heading)
-        axes.set(xlabel="round")
-        handles, labels = drawn["success"].get_legend_handles_labels()
-        style = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2)}
-        axes.legend(handles, labels, fontsize=7, frameon=False, **style)
-    for name, axes in zip(names, grid[:, 0], strict=True):
-        axes.set(ylabel=names[name])
+    figure, axes = subplots(len(panels))
+    for panel, (heading, groups) in zip(axes, panels.items(), strict=True):
+        for group, color in zip(groups, _colors(len(groups)), strict=True):
+            _draw_training(panel, group, color, band=True)
+        _draw_references(panel, references or {})
+        panel.set(xlabel="round", ylabel="success rate", xlim=(0, None), ylim=(0, 1), title=heading)
+        if len(panels) > 1:  # colors are of other groups in each panel
+            style = {"loc": "upper center", "bbox_to_anchor": (0.5, -0.2)}
+            panel.legend(fontsize=7, frameon=False, **style)
     figure.suptitle(title)
-    return _finished(figure, list(grid.flat), legend=False)
-
-
-def draw_panels(
-    panels: Mapping[str, Mapping[str, Group]], *, title: str, marked: Group | None = None
-) -> Figure:
-    """Draws rows of groups: every seed of each group, their mean and its 95 % t interval.
-
-    Args:
-        panels: label of a panel -> label of a group -> the group.
-        title: the heading.
-        marked: the group marked by a star.
-    """
-    figure, axes = _panels(len(panels), 2)
-    styles = (
-        ("final", "final success", -0.1, COLORS[0], "o"),
-        ("cumulative", "cumulative training success", 0.1, COLORS[1], "s"),
-    )
-    for panel, (key, row) in zip(axes, panels.items(), strict=True):
-        for number, group in enumerate(row.values()):
-            for quantity, label, aside, color, marker in styles:
-                seeds, place = getattr(group, quantity), number + aside
-                panel.plot([place] * len(seeds), seeds, ".", color=color, alpha=0.35)
-                found = estimate(seeds)
-                style = {"fmt": marker, "color": color, "capsize": 3, "ms": 5}
-                style["label"] = label if number == 0 and panel is axes[0] else None
-                ends = [[found.value - found.low], [found.high - found.value]]
-                panel.errorbar(place, found.value, ends, **style)
-        names = [f"{value}*" if group is marked else value for value, group in row.items()]
-        names = [name.replace("_", "\n") for name in names]  # breaks long labels
-        panel.set(xlabel=key, xticks=range(len(names)), xticklabels=names, ylim=(0, 1))
-        panel.set_xlim(-0.5, len(names) - 0.5)
-        panel.tick_params(axis="x", labelsize="small")
-    figure.suptitle(title)
-    return _finished(figure, axes)
+    if len(panels) == 1:
+        add_legend(figure)
+    return figure
 
 
 def draw_bands(panels: Mapping[str, Mapping[str, Any]], *, title: str, xlabel: str) -> Figure:
@@ -213,19 +136,21 @@ def draw_bands(panels: Mapping[str, Mapping[str, Any]], *, title: str, xlabel: s
         title: the heading.
         xlabel: label of the places.
     """
-    figure, axes = _panels(len(panels), 3)
+    figure, axes = subplots(len(panels))
     labels = list(dict.fromkeys(label for curves in panels.values() for label in curves))
     # More curves than colors: the next ones are dashed.
     styles = dict(zip(labels, cycle((color, dash) for dash in DASHES for color in COLORS)))
     for panel, (heading, curves) in zip(axes, panels.items(), strict=True):
         for label, (places, values, low, high) in curves.items():
-            (color, dash), name = styles[label], label if label in labels else None
+            color, dash = styles[label]
+            name = label if label in labels else None  # each is in the legend once
             panel.plot(places, values, dash, color=color, lw=1.8, label=name)
             panel.fill_between(places, low, high, color=color, alpha=0.12, lw=0)
-            labels = [other for other in labels if other != label]  # each is in the legend once
+            labels = [other for other in labels if other != label]
         panel.set(title=heading, xlabel=xlabel, ylim=(0, 1))
     figure.suptitle(title)
-    return _finished(figure, axes)
+    add_legend(figure)
+    return figure
 
 
 def _colors(count: int) -> Sequence[Any]:
@@ -235,25 +160,6 @@ def _colors(count: int) -> Sequence[Any]:
     from matplotlib import colormaps
 
     return [colormaps["viridis"](place) for place in np.linspace(0, 0.95, count)]
-
-
-def _axes(rows: int = 1, columns: int = 1, *, shared: bool = False) -> tuple[Figure, Any]:
-    # The object interface needs no window system and has no global state.
-    from matplotlib.figure import Figure
-
-    size = (max(8, 4 * columns), 4.5 if rows == 1 else 3.3 * rows)
-    figure = Figure(figsize=size, layout="constrained")
-    return figure, figure.subplots(rows, columns, sharex=shared, sharey="row" if shared else False)
-
-
-def _panels(count: int, most: int) -> tuple[Figure, list[Any]]:
-    """Returns a figure of so many panels, at most ``most`` in a row."""
-    columns = min(most, count)
-    figure, grid = _axes(rows=-(-count // columns), columns=columns)
-    axes = list(np.atleast_1d(grid).flat)
-    for panel in axes[count:]:
-        panel.remove()
-    return figure, axes[:count]
 
 
 def _seeds(group: Group) -> str:
@@ -303,28 +209,3 @@ def _draw_seeds(
 def _draw_references(axes: Any, references: Mapping[str, float]) -> None:
     for (name, rate), line in zip(references.items(), cycle((":", "-."))):
         axes.axhline(rate, color="0.35", lw=1, ls=line, label=f"{name}: {rate:.3f}")
-
-
-def _finished(figure: Figure, panels: Sequence[Any], *, legend: bool = True) -> Figure:
-    for axes in panels:
-        axes.grid(alpha=0.25)
-        axes.spines[["top", "right"]].set_visible(False)
-    if legend:
-        _add_legend(figure)
-    return figure
-
-
-def _add_legend(figure: Figure) -> None:
-    """Adds the legend below the axes, in two columns, or one if they are too wide.
-
-    A figure that is too small for it grows.
-    """
-    for columns in (2, 1):
-        legend = figure.legend(loc="outside lower center", ncols=columns, fontsize=8, frameon=False)
-        box = legend.get_window_extent()
-        width, height = box.width / figure.dpi, box.height / figure.dpi
-        if width <= figure.get_figwidth() or columns == 1:
-            break
-        legend.remove()
-    figure.set_figwidth(max(figure.get_figwidth(), width))
-    figure.set_figheight(figure.get_figheight() + max(0.0, height - LEGEND_HEIGHT))

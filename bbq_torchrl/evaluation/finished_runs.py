@@ -1,28 +1,37 @@
-"""Finished runs, read from their result folders.
+"""Finished runs, read from their folders or from the table of an experiment.
 
-A *result folder* contains ``config.yaml``, ``metrics.csv`` and ``result.json``. It is a run folder,
-or a copy by ``scripts/keep_result.py``.
+A *run folder* contains ``config.yaml``, ``metrics.csv`` and ``result.json``. The *table of an
+experiment* has many runs in two files, which ``scripts/keep_result.py`` writes::
+
+    runs.json        {"config": what all runs share, by dotted key,
+                      "runs": {name: {"config": the rest, "overrides": [...], "result": {...}}}}
+    metrics.csv.xz   a row for each run, round and replica
 """
 
 from __future__ import annotations
 
+import csv
+import json
+import lzma
 import math
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import groupby
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.evaluation.curves import read_metrics
-from bbq_torchrl.evaluation.run_result import flat, read_result
+from bbq_torchrl.evaluation.curves import Metrics, numbers, read_metrics
+from bbq_torchrl.evaluation.run_result import flat, read_result, result_of
 from bbq_torchrl.utils.files import CONFIG, METRICS, RESULT, folder_of, numbers_in_order, read_yaml
 from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Iterator, Mapping
     from pathlib import Path
 
-    from bbq_torchrl.evaluation.curves import Metrics
     from bbq_torchrl.evaluation.run_result import ReplicaResult, RunResult
 
+RUNS, TABLE = "runs.json", "metrics.csv.xz"
+"""The files of an experiment's table."""
 
 _OF_A_SEED = ("seed", "replicas", "resume", "device", "threads", "logger")
 """Keys and groups in which runs of one setting may differ."""
@@ -36,16 +45,13 @@ _OF_A_MACHINE = (
     "protocol.eval_every_dialogues",
 )
 
-_NAMED = ("agent", "explore")
-"""Groups that every run's configuration has, with the option's name."""
-
 
 @dataclass(frozen=True)
 class Replica:
     """A trained replica of a finished run.
 
     Attributes:
-        folder: the result folder.
+        folder: the run folder, or the run's name below its experiment's folder.
         number: the replica's number.
         config: the run's composed configuration, nested mappings.
         result: the run's result.
@@ -67,12 +73,14 @@ class Replica:
     def setting(self) -> dict[str, Any]:
         """Dotted key -> value of everything but the seed that affects the outcome.
 
-        Keys with a list for the replicas have this replica's value.
+        Keys with a list for the replicas have this replica's value; those of null are left out.
         """
         own = {
             key: value
             for key, value in flat(self.config).items()
-            if key.partition(".")[0] not in _OF_A_SEED and key not in _OF_A_MACHINE
+            if key.partition(".")[0] not in _OF_A_SEED
+            and key not in _OF_A_MACHINE
+            and value is not None
         }
         return own | self.own.values | {"protocol.rounds": self.result.rounds}
 
@@ -89,10 +97,9 @@ class Replica:
 
     @property
     def updates(self) -> float:
-        """Number of optimizer steps; NaN in metrics of versions without it."""
-        if "updates" not in self.metrics.columns:
-            return math.nan
-        return int(self.metrics["updates"][:, self.number].sum())
+        """Number of optimizer steps; NaN in metrics without it."""
+        steps = self.metrics.columns.get("updates")
+        return math.nan if steps is None else int(steps[:, self.number].sum())
 
     @property
     def agent(self) -> str:
@@ -120,44 +127,31 @@ def names_option(key: str) -> bool:
     return key.partition(".")[2] == "name"
 
 
-def find_results(places: Iterable[Path]) -> list[Path]:
-    """Returns the folders of finished runs in or below the given folders.
+def find_runs(places: Iterable[Path]) -> tuple[list[Path], list[Path]]:
+    """Returns the finished runs and the unfinished ones in or below the folders, in their order.
+
+    Finished are run folders with a result, and the tables of experiments. Unfinished are also runs
+    extended to more rounds, and jobs of a sweep that never started.
 
     Raises:
-        ValueError: no finished run, or a folder without any run.
+        ValueError: a folder without any run, or no finished run at all.
     """
-    found: dict[Path, None] = {}
-    nothing: list[ValueError] = []
+    finished: dict[Path, None] = {}
+    unfinished: dict[Path, None] = {}
     for place in places:
-        folders = sorted((file.parent for file in place.rglob(RESULT)), key=numbers_in_order)
-        finished = [folder.resolve() for folder in folders if not _is_extended(folder)]
-        if not finished:
-            reason = f"no {RESULT} is in or below it"
-            if folders:
-                reason = f"the {RESULT} in {folders[0]} is of fewer rounds than {CONFIG} asks for"
-            nothing.append(ValueError(f"{place} holds no finished run: {reason}"))
-            if not find_unfinished([place]):
-                raise nothing[-1]
-        found.update(dict.fromkeys(finished))
-    if nothing and not found:
-        raise nothing[0]
-    return list(found)
-
-
-def find_unfinished(places: Iterable[Path]) -> list[Path]:
-    """Returns the unfinished run folders in or below the given folders.
-
-    Those include runs extended to more rounds, and jobs of a sweep that never started.
-    """
-    files = [file for place in places for name in (CONFIG, METRICS) for file in place.rglob(name)]
-    known = {folder_of(file).resolve(): file for file in files}  # the metrics if they exist
-    unfinished = (
-        folder
-        for folder, file in known.items()
-        if (file.name == METRICS or _is_of_a_run(file))
-        and (not (folder / RESULT).is_file() or _is_extended(folder))
-    )
-    return sorted(unfinished, key=numbers_in_order)
+        files = [file for name in (CONFIG, METRICS, RESULT, RUNS) for file in place.rglob(name)]
+        found = {folder_of(file).resolve(): file for file in files}  # the last of these names
+        for folder in sorted(found, key=numbers_in_order):
+            file = found[folder]
+            if file.name == RUNS or (file.name == RESULT and not _is_extended(folder)):
+                finished[folder] = None
+            elif file.name != CONFIG or _is_of_a_run(file):
+                unfinished[folder] = None
+        if not found.keys() & {*finished, *unfinished}:
+            raise ValueError(f"{place} holds no run")
+    if not finished:
+        raise ValueError(f"no run is finished; not finished: {', '.join(map(str, unfinished))}")
+    return [*finished], [*unfinished]
 
 
 def _is_of_a_run(file: Path) -> bool:
@@ -171,7 +165,7 @@ def _is_extended(folder: Path) -> bool:
     try:
         rounds = _readable(folder / CONFIG)["protocol"]["rounds"]
         return bool(read_result(folder).rounds < rounds)
-    except (OSError, ValueError, TypeError, LookupError):
+    except (ValueError, TypeError, LookupError):
         return False
 
 
@@ -183,28 +177,66 @@ def _readable(file: Path) -> Any:
         return None
 
 
-def read_run(folder: Path) -> list[Replica]:
-    """Reads a result folder. Returns its replicas.
+def read_runs(folder: Path) -> list[Replica]:
+    """Reads a run folder, or all runs of an experiment's table. Returns the replicas.
 
     Raises:
         ValueError: a file is missing or damaged, or the files belong to different runs.
     """
+    if (folder / RUNS).is_file():
+        return [*_read_table(folder)]
     result, metrics = read_result(folder), read_metrics(folder)
+    try:
+        config = read_yaml((folder / CONFIG).read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ValueError(f"{folder / CONFIG} cannot be read: {sentence(error)}") from error
+    if not isinstance(config, dict) or not all(
+        isinstance(config.get(group), dict) and "name" in config[group]
+        for group in ("agent", "explore")
+    ):
+        raise ValueError(f"{folder / CONFIG} is not the configuration of a run")
+    return [*_replicas(folder, config, result, metrics)]
+
+
+def _read_table(folder: Path) -> Iterator[Replica]:
+    """Yields the replicas of all runs of an experiment."""
+    about = json.loads((folder / RUNS).read_text(encoding="utf-8"))
+    with lzma.open(folder / TABLE, "rt", encoding="utf-8", newline="") as file:
+        for name, of_run in groupby(csv.DictReader(file), key=lambda row: row.pop("run")):
+            run, rows = about["runs"][name], [*of_run]
+            columns = [column for column in rows[0] if any(row[column] for row in rows)]
+            metrics = Metrics([numbers({key: row[key] for key in columns}) for row in rows])
+            config = _nested(about["config"] | run["config"])
+            yield from _replicas(folder / name, config, result_of(run["result"]), metrics)
+
+
+def _nested(flat_config: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the configuration of dotted keys."""
+    config: dict[str, Any] = {}
+    for key, value in flat_config.items():
+        *groups, name = key.split(".")
+        place = config
+        for group in groups:
+            place = place.setdefault(group, {})
+        place[name] = value
+    return config
+
+
+def _replicas(
+    folder: Path, config: Mapping[str, Any], result: RunResult, metrics: Metrics
+) -> Iterator[Replica]:
+    """Yields the replicas of a run.
+
+    Raises:
+        ValueError: the metrics are of another run.
+    """
     if (metrics.rounds, metrics.replicas) != (result.rounds, result.replicas):
         raise ValueError(
             f"{folder}: the metrics are of {metrics.rounds} rounds and {metrics.replicas} "
             f"replicas, the result of {result.rounds} and {result.replicas}"
         )
-    try:
-        config = read_yaml((folder / CONFIG).read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ValueError(f"{folder / CONFIG} cannot be read: {sentence(error)}") from error
-    groups = [config.get(name) for name in _NAMED] if isinstance(config, dict) else [None]
-    named = all(isinstance(group, dict) and "name" in group for group in groups)
-    if not named or not isinstance(config.get("replicas", 1), int):
-        raise ValueError(f"{folder / CONFIG} is not the configuration of a run")
-    replicas = range(result.replicas)
-    return [Replica(folder, number, config, result, metrics) for number in replicas]
+    for number in range(result.replicas):
+        yield Replica(folder, number, config, result, metrics)
 
 
 _OF_THE_PAPER = {"bbqn": "BBQN", "bootstrap": "DQN-Bootstrap", "dqn": "DQN"}

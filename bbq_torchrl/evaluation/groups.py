@@ -2,29 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from bbq_torchrl.evaluation.curves import areas, booked, rounds_to_reach
-from bbq_torchrl.evaluation.finished_runs import distinguishing_keys, names_option, read_run
+from bbq_torchrl.evaluation.curves import Reach, areas, booked, rounds_to_reach
+from bbq_torchrl.evaluation.finished_runs import distinguishing_keys, names_option, read_runs
 from bbq_torchrl.evaluation.run_result import reference_lines
-from bbq_torchrl.utils.reports import Report, Table
 from bbq_torchrl.utils.text import as_typed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
-
-    from matplotlib.figure import Figure
 
     from bbq_torchrl.evaluation.finished_runs import Replica
     from bbq_torchrl.evaluation.run_result import RunResult
 
-_OF_AN_AGENT = ("agent", "explore", "intrinsic")
-"""Groups of options that define an agent."""
+_OF_AN_AGENT = ("agent.", "explore.", "intrinsic.")
+"""Prefixes of the keys that define an agent."""
 
 
 @dataclass(frozen=True)
@@ -43,11 +40,6 @@ class Group:
     def first(self) -> RunResult:
         """The result of the first run, for the values that all runs share."""
         return self.replicas[0].result
-
-    @property
-    def folders(self) -> list[Path]:
-        """The result folders, each once."""
-        return list(dict.fromkeys(replica.folder for replica in self.replicas))
 
     @property
     def agent(self) -> str:
@@ -92,9 +84,9 @@ class Group:
         return [replica.member for replica in self.replicas]
 
     @property
-    def commit(self) -> str:
+    def commits(self) -> list[str]:
         """The commits of its runs, each once, as in :attr:`RunResult.code`."""
-        return "; ".join(dict.fromkeys(replica.result.code for replica in self.replicas))
+        return list(dict.fromkeys(replica.result.code for replica in self.replicas))
 
     @property
     def round_dialogues(self) -> int:
@@ -107,6 +99,16 @@ class Group:
             return None
         columns = [replica.metrics[name][:, replica.number] for replica in self.replicas]
         return np.stack(columns, 1)
+
+    @property
+    def dialogues(self) -> int:
+        """Training dialogues of each seed."""
+        return self.round_dialogues * self.first.rounds
+
+    def reach(self, level: float) -> Reach:
+        """Returns the training dialogues that the seeds took to reach a success rate."""
+        reached = rounds_to_reach(self.success, level) * self.round_dialogues
+        return Reach(tuple(reached.tolist()), self.dialogues)
 
     @property
     def success(self) -> Any:
@@ -131,15 +133,15 @@ class Group:
         return [] if self.evaluation is None else areas(self.evaluation)
 
 
-def read_groups(folders: Sequence[Path]) -> list[Group]:
-    """Reads result folders. Returns a group for each setting, in the given order.
+def read_groups(folders: Iterable[Path]) -> list[Group]:
+    """Reads run folders and tables of experiments. Returns a group for each setting, in order.
 
     Replicas of a run with different values have different settings.
 
     Raises:
-        ValueError: two runs have the same setting and seed; also as :func:`read_run`.
+        ValueError: two runs have the same setting and seed; also as :func:`read_runs`.
     """
-    return grouped(replica for folder in folders for replica in read_run(folder))
+    return grouped(replica for folder in folders for replica in read_runs(folder))
 
 
 def grouped(replicas: Iterable[Replica]) -> list[Group]:
@@ -157,16 +159,41 @@ def grouped(replicas: Iterable[Replica]) -> list[Group]:
                     f"({replica.result.seed}): seeds must differ to count as independent trainings"
                 )
         same.append(replica)
-    settings = [(members[0].agent, members[0].setting) for members in together]
-    return [
-        Group(label(*own, settings), tuple(members))
-        for own, members in zip(settings, together, strict=True)
+    return labeled(Group("", tuple(members)) for members in together)
+
+
+def labeled(groups: Iterable[Group]) -> list[Group]:
+    """Returns the groups with labels: the agent, and the keys in which it differs from the first.
+
+    Keys that define an agent are named if it differs in them from the first one of its name. If
+    options differ, the option is named instead of its keys, unless another group has that label.
+    """
+    found: dict[str, Group] = {}
+    firsts: dict[str, Group] = {}
+    for group in groups:
+        first = next(iter(found.values()), group)
+        own = firsts.setdefault(group.agent, group)
+        keys = [key for key in _different(group, first) if not key.startswith(_OF_AN_AGENT)]
+        keys += _different(group, own)
+        while (label := _label(group, keys)) in found:
+            keys += _different(group, found[label], with_options=True)
+        found[label] = replace(group, label=label)
+    return [*found.values()]
+
+
+def _different(one: Group, other: Group, *, with_options: bool = False) -> list[str]:
+    """Returns the keys in which two settings differ; of other options only their name."""
+    ours, theirs = one.setting, other.setting
+    keys = [key for key in {**ours, **theirs} if ours.get(key) != theirs.get(key)]
+    return keys if with_options else distinguishing_keys(keys)
+
+
+def _label(group: Group, keys: Iterable[str]) -> str:
+    words = [
+        f"{key.removesuffix('.name')}={as_typed(group.setting.get(key))}"
+        for key in sorted({*keys}, key=lambda key: (not names_option(key), key))
     ]
-
-
-def know_commits(groups: Sequence[Group]) -> bool:
-    """Returns whether any of the runs has recorded its commit."""
-    return any(replica.result.commit for group in groups for replica in group.replicas)
+    return ", ".join([group.agent, *words])
 
 
 def references(groups: Sequence[Group]) -> dict[str, float]:
@@ -183,10 +210,9 @@ def references(groups: Sequence[Group]) -> dict[str, float]:
         return {}
     results = {replica.folder: replica.result for group in groups for replica in group.replicas}
     privileged = [result.references for result in results.values()]
-    scripted = [result.scripted for result in results.values()]
     known = _means(privileged)
     return reference_lines(
-        _means(scripted),
+        _means([result.scripted for result in results.values()]),
         {name: rate for name, rate in known.items() if all(name in one for one in privileged)},
     )
 
@@ -195,110 +221,3 @@ def _means(rates: Sequence[Mapping[str, float]]) -> dict[str, float]:
     """Returns the mean of each name over the mappings that have it."""
     names = dict.fromkeys(name for one in rates for name in one)
     return {name: fmean(one[name] for one in rates if name in one) for name in names}
-
-
-def label(
-    name: str, setting: Mapping[str, Any], settings: Sequence[tuple[str, Mapping[str, Any]]]
-) -> str:
-    """Returns the agent's name, and the keys in which its setting differs from others.
-
-    Keys that define an agent are named if agents of the same name differ in them, other keys also
-    if any settings do. If options differ, the option is named instead of its keys. So no two
-    settings have the same label.
-
-    Args:
-        name: the agent's name.
-        setting: its dotted keys and values.
-        settings: all names and settings, including this one.
-
-    Examples:
-        >>> greedy = {"explore.name": "greedy"}
-        >>> step = {"explore.name": "thompson", "explore.per": "step"}
-        >>> whole = {"explore.name": "thompson", "explore.per": "round"}
-        >>> settings = [("BBQN-MAP", one) for one in (greedy, step, whole)]
-        >>> label("BBQN-MAP", greedy, settings)
-        'BBQN-MAP, explore=greedy'
-        >>> label("BBQN-MAP", step, settings)
-        'BBQN-MAP, explore=thompson, explore.per=step'
-    """
-    keys: set[str] = set()
-    for other_name, other in settings:
-        keys |= _distinguishing(setting, other, same_agent=other_name == name)
-    options = sorted(filter(names_option, keys))
-    words = [name, *(f"{key.removesuffix('.name')}={setting[key]}" for key in options)]
-    words += [
-        f"{key}={as_typed(value)}"
-        for key, value in setting.items()
-        if key in keys.difference(options)
-    ]
-    return ", ".join(words)
-
-
-def _distinguishing(
-    setting: Mapping[str, Any], other: Mapping[str, Any], *, same_agent: bool
-) -> set[str]:
-    """Returns the keys that distinguish a setting from another one."""
-    if same_agent:
-        # A key of null that the other one lacks is named only if nothing else differs.
-        different = [key for key, value in setting.items() if other.get(key) != value]
-        different = different or [key for key in setting if key not in other]
-    else:
-        different = [
-            key
-            for key, value in setting.items()
-            if key.partition(".")[0] not in _OF_AN_AGENT and other.get(key, value) != value
-        ]
-    return set(distinguishing_keys(different))
-
-
-def commits_text(groups: Sequence[Group]) -> str:
-    """Returns the commits of the runs, as text; empty if none is recorded."""
-    if not know_commits(groups):
-        return ""
-    together: dict[str, list[str]] = {}
-    for group in groups:
-        together.setdefault(group.commit, []).append(group.label)
-    if len(together) == 1:
-        (commit,) = together
-        if len({replica.result.code for replica in groups[0].replicas}) > 1:
-            return f"All have runs of several commits: {commit}."
-        return f"All runs are of commit {commit}."
-    lines = [f"- {commit}: {'; '.join(labels)}" for commit, labels in together.items()]
-    return "\n".join(["The runs are of different commits:\n", *lines])
-
-
-def replicas_table(groups: Sequence[Group]) -> Table:
-    """Returns the table of replicas."""
-    rows = [
-        {
-            "corpus": replica.result.domain,
-            "env": replica.result.env,
-            "agent": group.label,
-            "replica": replica.number,
-            "seed": replica.result.seed,
-            "rounds": replica.result.rounds,
-            "updates": replica.updates,
-            "success_rate": replica.own.success_rate,
-            "reward": replica.own.reward,
-            "turns": replica.own.turns,
-            "cumulative_success": replica.own.training_success,
-            "rounds_to_60": f"{reached:.0f}".replace("inf", ""),
-        }
-        | ({"commit": replica.result.code} if know_commits(groups) else {})
-        for group in groups
-        for replica, reached in zip(
-            group.replicas, rounds_to_reach(group.success, 0.6).tolist(), strict=True
-        )
-    ]
-    return Table("replicas", rows)
-
-
-def runs_report(
-    name: str,
-    title: str,
-    groups: Sequence[Group],
-    parts: Sequence[str | Table],
-    figures: Mapping[str, tuple[str, Callable[[], Figure]]],
-) -> Report:
-    """Returns a report on groups of runs, with their commits at the end and ``replicas.csv``."""
-    return Report(name, title, [*parts, commits_text(groups)], figures, [replicas_table(groups)])

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any, TypeVar
 from bbq_torchrl.domains.domain import RANDOM_POLICY
 from bbq_torchrl.utils.files import RESULT, write_text
 from bbq_torchrl.utils.statistics import binomial_standard_error
-from bbq_torchrl.utils.text import shown
+from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -269,7 +269,7 @@ def write_json(content: RunResult | dict[str, Any], file: Path) -> None:
 
 
 def read_result(folder: Path) -> RunResult:
-    """Reads the result.json of a result folder.
+    """Reads the result.json of a run folder.
 
     Raises:
         ValueError: the file is missing (the run is not finished) or damaged.
@@ -278,46 +278,32 @@ def read_result(folder: Path) -> RunResult:
     if not file.is_file():
         raise ValueError(f"{folder} has no {RESULT}: it is not a run folder, or not finished")
     try:
-        plain = json.loads(file.read_text(encoding="utf-8-sig"))
-        if not isinstance(plain, dict) or not isinstance(plain.get("per_replica"), list):
-            raise ValueError("it must be a mapping with the list per_replica")
-        of_replicas = tuple(_made(ReplicaResult, item) for item in plain["per_replica"])
-        if len(of_replicas) != plain.get("replicas"):
-            raise ValueError("per_replica must have an entry for each of the replicas")
-        skipped = tuple(plain.get("skipped", ()))
-        return _made(RunResult, plain | {"per_replica": of_replicas, "skipped": skipped})
-    except RecursionError:
-        raise ValueError(f"{file} is damaged: it is nested too deeply") from None
-    except (ValueError, TypeError, AttributeError) as error:
-        raise ValueError(f"{file} is damaged: {error}") from error
+        return result_of(json.loads(file.read_text(encoding="utf-8-sig")))
+    except (ValueError, TypeError, LookupError, AttributeError, RecursionError) as error:
+        raise ValueError(f"{file} is damaged: {sentence(error)}") from error
 
 
-def _made(schema: type[Result], plain: dict[str, Any]) -> Result:
-    """Makes a dataclass from a mapping; unknown keys, of newer versions, are ignored.
+def result_of(plain: Mapping[str, Any]) -> RunResult:
+    """Returns the result of a result.json's content.
 
     Raises:
-        ValueError: a value has the wrong type.
+        ValueError: a number is missing or not finite, or a replica is missing.
     """
-    names = {item.name for item in fields(schema)}
-    given = {name: value for name, value in plain.items() if name in names}
-    if given.get("while_training") is not None:
-        given["while_training"] = _made(TrainingEvaluation, given["while_training"])
-    result = schema(**given)
+    replicas = tuple(_made(ReplicaResult, item) for item in plain["per_replica"])
+    if len(replicas) != plain["replicas"]:
+        raise ValueError("per_replica must have an entry for each of the replicas")
+    return _made(RunResult, {**plain, "per_replica": replicas, "skipped": (*plain["skipped"],)})
+
+
+def _made(schema: type[Result], plain: Mapping[str, Any]) -> Result:
+    """Makes a dataclass from a mapping."""
+    evaluated = plain.get("while_training")
+    if evaluated is not None:
+        plain = {**plain, "while_training": _made(TrainingEvaluation, evaluated)}
+    result = schema(**plain)
     for item in fields(result):
         value = getattr(result, item.name)
-        if item.type in ("int", "float") and not (
-            isinstance(value, (int, float)) and math.isfinite(value)
-        ):
+        is_number = isinstance(value, (int, float)) and math.isfinite(value)
+        if item.type in ("int", "float") and not is_number:
             raise ValueError(f"{item.name} must be a number, got {shown(value)}")
-        if item.type == "str" and not isinstance(value, str):
-            raise ValueError(f"{item.name} must be text, got {shown(value)}")
-        if item.type == "str | None" and not isinstance(value, (str, type(None))):
-            raise ValueError(f"{item.name} must be text or null, got {shown(value)}")
-        if item.type == "bool | None" and not isinstance(value, (bool, type(None))):
-            raise ValueError(f"{item.name} must be true, false or null, got {shown(value)}")
-        if item.type == "dict[str, float]" and not (
-            isinstance(value, dict)
-            and all(isinstance(rate, (int, float)) for rate in value.values())
-        ):
-            raise ValueError(f"{item.name} must be a mapping to numbers, got {shown(value)}")
     return result

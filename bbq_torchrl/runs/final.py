@@ -79,7 +79,7 @@ def final_result(
     NonFiniteWeightsError.check(policy, folder)
     played = _played(config, env, policy, protocol.eval_dialogues)
     RunFolderGoneError.check(folder)
-    metrics = Metrics.of(rows)
+    metrics = Metrics(rows)
     training_success = metrics.training_success
     evaluated: list[TrainingEvaluation | None] = [None] * config.replicas
     if trainer.evaluator is not None:
@@ -153,7 +153,7 @@ def draw_curve(
 def _groups(
     config: Config, folder: Path, result: RunResult, rows: Sequence[MetricRow]
 ) -> list[Group]:
-    metrics, plain = Metrics.of(rows), dataclasses.asdict(config)
+    metrics, plain = Metrics(rows), dataclasses.asdict(config)
     numbers = range(config.replicas)
     return grouped(Replica(folder, number, plain, result, metrics) for number in numbers)
 

@@ -164,8 +164,8 @@ def subplots(count: int, most: int = 3) -> tuple[Figure, list[Any]]:
     # The object interface needs no window system and has no global state.
     from matplotlib.figure import Figure
 
-    columns = min(most, count)
-    rows = -(-count // columns)
+    rows = -(-count // most)
+    columns = -(-count // rows)
     size = (max(8, 4 * columns), 4.5 if rows == 1 else 3.3 * rows)
     figure = Figure(figsize=size, layout="constrained")
     panels = list(figure.subplots(rows, columns, squeeze=False).flat)

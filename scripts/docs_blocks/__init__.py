@@ -5,15 +5,27 @@ Importing a module here registers its blocks by :func:`~scripts.docs_blocks.comm
 
 from __future__ import annotations
 
-from scripts.docs_blocks import best, config, domain, files, house, results, speed, story, tables
+from scripts.docs_blocks import (
+    best,
+    config,
+    domain,
+    files,
+    house,
+    learning,
+    results,
+    speed,
+    story,
+    tables,
+)
 from scripts.docs_blocks.common import BLOCKS
 
-__all__ = ["BLOCKS", "best", "config", "domain", "draw_figures", "story", "tables"]
+__all__ = ["BLOCKS", "best", "config", "domain", "draw_figures", "learning", "story", "tables"]
 
 
 def draw_figures() -> None:
     """Draws or copies all generated figures."""
     results.draw_figures()
+    results.write_claims()
     speed.draw_growth()
     house.draw_house()
     files.copy_figures()

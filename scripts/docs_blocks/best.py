@@ -5,11 +5,12 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from bbq_torchrl.domains.domain import PRIVILEGED_POLICY
-from bbq_torchrl.evaluation import pairs, table1
+from bbq_torchrl.evaluation.compare_runs import PAPER
+from bbq_torchrl.evaluation.pairs import difference
 from bbq_torchrl.utils.statistics import estimate
-from scripts.docs_blocks.common import block, read_json, short, table
-from scripts.docs_blocks.results import groups
-from scripts.docs_blocks.tables import measured, unspiked
+from scripts.docs_blocks.common import block, group, groups, read_json, short, table
+from scripts.docs_blocks.learning import unspiked
+from scripts.docs_blocks.tables import measured
 
 Seeds = Mapping[object, float]
 """Seed of an agent -> its success; seeds of one name saw the same dialogues."""
@@ -30,7 +31,7 @@ UNSPIKED = {
     "DQN-VIME-MAP": "dqn_vime",
     "DQN-VIME-MC": "dqn_vime_mc",
     "Soft BBQN-MAP": "bbqn_map_soft",
-    "GP": "baselines_gp",
+    "GP": "gp",
 }
 """Agent -> its name in unspiked.csv."""
 
@@ -45,14 +46,14 @@ SCRIPT, CEILING = "script `repair`", "privileged ceiling"
 
 def _rates(folder: str) -> dict[str, Seeds]:
     """Returns column -> seeds of the runs in a result folder."""
-    (group,) = groups(folder)
-    columns = {f"{budget:,}": group.booked(budget) for budget in BUDGETS} | {"end": group.final}
-    return {name: dict(zip(group.members, of, strict=True)) for name, of in columns.items()}
+    own = group(folder)
+    columns = {f"{budget:,}": own.booked(budget) for budget in BUDGETS} | {"end": own.final}
+    return {name: dict(zip(own.members, of, strict=True)) for name, of in columns.items()}
 
 
 def _table1(env: str) -> dict[str, dict[str, Seeds]]:
     """Returns agent -> column -> seeds in an environment of Table 1."""
-    names = [*table1.PAPER["full"], "Soft BBQN-MAP", "GP"]
+    names = [*PAPER["full"], "Soft BBQN-MAP", "GP"]
     folders = {"Soft BBQN-MAP": "bbqn_map_soft"}
     found = {
         name: _rates(f"table1/{env}/{folders.get(name, name.lower().replace('-', '_'))}")
@@ -74,7 +75,7 @@ def _without_spike(domain: str) -> dict[str, Seeds]:
 
 def _not_as_long() -> dict[str, str]:
     """Returns agent -> success of the shorter runs without a spike in the full domain."""
-    return {group.agent: f"{short(estimate(group.final).value)}*" for group in groups("no_spike")}
+    return {own.agent: f"{short(estimate(own.final).value)}*" for own in groups("no_spike")}
 
 
 def _columns() -> dict[tuple[str, str], dict[str, Seeds]]:
@@ -108,7 +109,7 @@ def _marked(agents: Mapping[str, Seeds]) -> dict[str, str]:
     for name, of in agents.items():
         gaps = [best[seed] - of[seed] for seed in best]
         text = short(means[name])
-        cells[name] = text if pairs.difference(gaps).low > 0 else f"**{text}**"
+        cells[name] = text if difference(gaps).low > 0 else f"**{text}**"
     return cells
 
 
@@ -140,12 +141,12 @@ def _best() -> str:
         "hotels, no spike": "no spike, hotels",
     }
     heads = [f"{titles[on]}: {column}" for on, column in columns]
-    ends = [_dialogues(f"table1/{env}/dqn") for env in ENVS]
+    ends = [group(f"table1/{env}/dqn").dialogues for env in ENVS]
     ends += [int(unspiked()[domain, "dqn_boltzmann"][0]["dialogues"]) for domain in DOMAINS]
     note = (
         "End: final success after {:,} dialogues of the full domain, {:,} of domain extension; "
         "without the spike {:,}, in the hotels {:,} (*: {:,}, five seeds).".format(
-            *ends, _dialogues("no_spike/dqn")
+            *ends, group("no_spike/dqn").dialogues
         )
     )
     return f"{_shown(columns, heads)}\n\n{_BOLD}{note}"
@@ -164,11 +165,5 @@ def _best_small() -> str:
         key: {name: of for name, of in columns[key].items() if name not in SEARCHED}
         for key in heads
     }
-    note = f"*: of {_dialogues('no_spike/dqn'):,} dialogues, five seeds."
+    note = f"*: of {group('no_spike/dqn').dialogues:,} dialogues, five seeds."
     return f"{_shown(chosen, [*heads.values()])}\n\n{_BOLD}{note}"
-
-
-def _dialogues(folder: str) -> int:
-    """Returns the training dialogues of each seed."""
-    (group,) = groups(folder)
-    return group.round_dialogues * group.first.rounds

@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import re
 import shutil
 import sys
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.utils.statistics import estimate
-from scripts.docs_blocks.common import FIGURES, RESULTS, ROOT, block, code, table
-from scripts.talks.counts import SHARES, read, shares
+from scripts.docs_blocks.common import FIGURES, RESULTS, ROOT, block, code, read_csv, table
+from scripts.talks.counts import SHARES, shares
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -18,7 +17,6 @@ if TYPE_CHECKING:
 EXAMPLES = ROOT / "examples"
 _SUMMARY = {
     "booked after 1,000": "booked_after_1000",
-    "booked after 2,000": "booked_after_2000",
     "final success": "success_after_2000",
     "pass^8": "pass_8",
 }
@@ -51,19 +49,11 @@ def _uncertainty() -> str:
     return text.split("\n## Does uncertainty predict failure?")[1].split("\n## ")[0]
 
 
-@block("bench.results")
-def _bench() -> str:
-    """Returns the benchmark's page without its heading, one heading level deeper."""
-    text = (RESULTS / "bench" / "bench.md").read_text(encoding="utf-8").split("\n", 2)[2]
-    text = re.sub(r"\]\((\w+)\.png\)", r"](figures/bench_\1.png)", text)
-    return text.replace("```bash", "```text").strip()
-
-
 @block("bench.summary")
 def _bench_summary() -> str:
     """Returns a table of the published benchmark for each domain, the earliest agents first."""
     by_domain: dict[str, dict[str, list[Mapping[str, str]]]] = {}
-    for row in read(RESULTS / "bench" / "bench.csv"):
+    for row in read_csv("bench/bench.csv"):
         by_domain.setdefault(row["domain"], {}).setdefault(row["agent"], []).append(row)
     tables = []
     for domain, agents in by_domain.items():
@@ -79,24 +69,24 @@ def _bench_summary() -> str:
 
 @block("study.simulated")
 def _simulated() -> str:
-    """Returns the report of the study with simulated users, two heading levels deeper."""
+    """Returns the agents and the declared pairs of the study with simulated users."""
     text = (RESULTS / "study" / "report.md").read_text(encoding="utf-8")
+    text = text[text.index("## Agents") : text.index("## Distribution")]
     text = re.sub(r"\]\((\w+)\.png\)", r"](figures/study_simulated_\1.png)", text)
-    return re.sub("^#", "###", text, count=1).replace("\n## ", "\n#### ")
+    return text.replace("## ", "#### ")
 
 
 @block("chat.control")
 def _control() -> str:
     """Returns the table of the costs of the dialogue control's rules in the simulator."""
-    with (RESULTS / "control.csv").open(encoding="utf-8", newline="") as file:
-        rows = [
-            (
-                row["rules"],
-                f"{float(row['success']):.3f} ± {float(row['standard_error']):.3f}",
-                row["turns"],
-            )
-            for row in csv.DictReader(file)
-        ]
+    rows = [
+        (
+            row["rules"],
+            f"{float(row['success']):.3f} ± {float(row['standard_error']):.3f}",
+            row["turns"],
+        )
+        for row in read_csv("control.csv")
+    ]
     return table(("rules", "success", "turns"), rows)
 
 
@@ -104,10 +94,9 @@ def _control() -> str:
 def _users() -> str:
     """Returns the table of agents by the users they learned from and play with."""
     found: dict[tuple[str, ...], dict[str, list[dict[str, str]]]] = {}
-    with (RESULTS / "users.csv").open(encoding="utf-8", newline="") as file:
-        for row in csv.DictReader(file):
-            run = (row["agent"], row["trained_on"] or "–", row["rounds"] or "–")
-            found.setdefault(run, {}).setdefault(row["played_with"], []).append(row)
+    for row in read_csv("users.csv"):
+        run = (row["agent"], row["trained_on"] or "–", row["rounds"] or "–")
+        found.setdefault(run, {}).setdefault(row["played_with"], []).append(row)
     head = ("agent", "trained on", "rounds", "runs", "paper", "people")
     more = ("answers at once", "after an offer", "warns of people", "warns of failure")
     keys = ("answers", "answers_after_offer", "warns_of_users", "warns_of_failure")
@@ -133,7 +122,7 @@ def _mean(rows: list[dict[str, str]], key: str) -> str:
 
 def _shares(columns: Mapping[str, tuple[str, str]]) -> str:
     """Returns the shares of conversations, a column for each name of a label and an agent."""
-    rows = read(RESULTS / "talks.csv")
+    rows = read_csv("talks.csv")
     found = [
         shares(row for row in rows if (row["label"], row["agent"]) == column)
         for column in columns.values()
@@ -151,7 +140,7 @@ def _talks() -> str:
 @block("chat.talks_agents")
 def _talks_of_agents() -> str:
     """Returns the shares of conversations of each shipped agent."""
-    agents = {row["agent"]: None for row in read(RESULTS / "talks.csv") if row["label"] == _FEW}
+    agents = {row["agent"]: None for row in read_csv("talks.csv") if row["label"] == _FEW}
     return _shares({agent.removeprefix("shipped:"): (_FEW, agent) for agent in agents})
 
 

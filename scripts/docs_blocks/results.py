@@ -1,39 +1,48 @@
-"""Tables and figures of trained agents, from the result folders in results/.
-
-``results/<experiment>/<run>/`` is what ``scripts/keep_result.py`` keeps of a run folder.
-"""
+"""Tables and figures of trained agents, from the experiments' tables in results/."""
 
 from __future__ import annotations
 
+import csv
 import json
-from dataclasses import replace
+from collections import Counter
+from itertools import chain
 from pathlib import Path
-from statistics import fmean
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import yaml
 from PIL import Image
 
 from bbq_torchrl.domains.domain import PRIVILEGED_POLICY, RANDOM_POLICY
-from bbq_torchrl.evaluation import comparison, pairs, table1
-from bbq_torchrl.evaluation.curves import rounds_to_reach
-from bbq_torchrl.evaluation.designs import ablations_report, grid_report
+from bbq_torchrl.evaluation.compare_runs import PAPER
 from bbq_torchrl.evaluation.figures import draw_comparison
-from bbq_torchrl.evaluation.groups import Group, read_groups
+from bbq_torchrl.evaluation.groups import labeled
+from bbq_torchrl.evaluation.pairs import EARLY, adjusted, difference, pair
 from bbq_torchrl.evaluation.run_result import reference_lines
-from bbq_torchrl.utils.reports import NONE, Report, save
-from bbq_torchrl.utils.statistics import estimate
+from bbq_torchrl.utils.reports import NONE, draw_intervals, save
+from bbq_torchrl.utils.statistics import ALPHA, estimate
 from scripts.docs_blocks import common
-from scripts.docs_blocks.common import block, code, command, paired, table
+from scripts.docs_blocks.common import block, code, commands, groups, minus, paired, table
 from scripts.docs_blocks.tables import measured
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from matplotlib.figure import Figure
 
+    from bbq_torchrl.evaluation.groups import Group
+
+OURS = "BBQN-MAP"
+"""The agent that Table 1 compares all others with."""
+
 DOMAINS = {"full": "Full domain", "domain_ext": "Domain extension"}
-"""Title of each environment."""
+"""Title of each environment of Table 1."""
+
+FAMILIES = {
+    "BBQN": (OURS, "BBQN-MC", "BBQN-VIME-MAP", "BBQN-VIME-MC"),
+    "DQN": (OURS, "DQN", "DQN-Boltzmann", "DQN-Bootstrap"),
+    "DQN with VIME": (OURS, "DQN-VIME-MAP", "DQN-VIME-MC"),
+}
+"""Panel of Table 1's figure -> its agents."""
 
 EXPERIMENTS = {
     "tcbot": ("The public setting, 2,000 dialogues", "miulab", "v1, no error"),
@@ -42,104 +51,138 @@ EXPERIMENTS = {
     "long": ("Full domain, 400 rounds, our corpus", "movie", "reference"),
     "no_spike": ("Without spiking, our corpus", "movie", "reference"),
 }
-"""Folder in results/ -> title; corpus and setting of its scripted policies in policies.json."""
+"""Experiment -> title; corpus and setting of its scripted policies in policies.json."""
+
+EXPLORERS = {
+    "BBQN-MAP": ("bbqn",),
+    "DQN": ("dqn/0_epsilon_greedy", "dqn/1_greedy", "dqn/2_boltzmann"),
+    "DQN, dropout .5": (
+        "dqn/3_epsilon_greedy_dropout",
+        "dqn/4_greedy_dropout",
+        "dqn/5_boltzmann_dropout",
+    ),
+    "DQN-Bootstrap": ("bootstrap",),
+}
+"""Learner -> its runs in the experiment on explorers, the first of which is the reference."""
+
+ABLATIONS = (
+    {"draw_episode": "a draw an episode", "draw_round_shared": "a shared draw a round"},
+    {"errors_0": "slot errors 0", "errors_.1": "slot errors .1", "errors_.2": "slot errors .2"},
+    {f"kl_temperature_{value}": f"KL × {value}" for value in (".003", ".1", ".3", "1")},
+    {f"prior_std_{value}": f"prior's std {value}" for value in (".01", ".1", ".3")},
+    {"spike_20": "20 spiked dialogues", "spike_1000": "1,000 spiked dialogues"},
+    {"spike_none": "no spike"},
+    {"spike_drop_.3": "spike dropped at .3", "spike_drop_.5": "spike dropped at .5"},
+    {"spike_unprotected": "spike not protected"},
+    {"start_zero": "means start at zero"},
+)
+"""Runs that change one key -> what they change; p-values of one key are adjusted together."""
 
 COMPARED = yaml.safe_load(Path(__file__).with_name("compared.yaml").read_text(encoding="utf-8"))
 """Compared runs and the claims about them."""
 
-_SPIKED = (500, 1_000, 2_000)
-
-VERBS = {
-    "early": f"books more in the first {pairs.EARLY:,} dialogues than",
-    "final": "ends higher than",
-    "cumulative": "books more in training than",
-}
-COLUMNS = {
-    "final": "difference",
-    "early": f"of the first {pairs.EARLY:,} dialogues",
-    "cumulative": "of all training",
-}
-"""Column of each paired quantity, after the final success of two agents."""
-
-OTHERS = ("DQN", "DQN-Boltzmann", "DQN-Bootstrap", "BBQN-MC", "BBQN-VIME-MAP")
-"""Agents that BBQN-MAP is claimed to beat, by the paper's Table 1 or its text."""
+QUANTITIES = {"final": "end", "early": f"first {EARLY:,}", "cumulative": "all of training"}
+"""Quantity of a pairing -> its column."""
 
 
-def groups(*folders: str) -> list[Group]:
-    """Returns the runs below folders of results/: ``results/<folder>/**/result.json``."""
-    files = [file for name in folders for file in (common.RESULTS / name).rglob("result.json")]
-    return read_groups(sorted(file.parent for file in files))
-
-
-def _commands(kept: list[Group], fence: str = "bash") -> str:
-    made = (command(folder) for group in kept for folder in group.folders)
-    return "\n".join([f"```{fence}", *made, "```"])
-
-
-@block("results.baselines", "baselines", "bash")
-@block("results.extending", "extending", "text")  # not without that package
-def _commands_of(folder: str, fence: str) -> str:
-    return _commands(groups(folder), fence)
-
-
-def _save(figure: Figure, name: str) -> None:
-    """Writes a figure of the documentation in 256 colors, a third of the size."""
-    file = common.FIGURES / f"{name}.png"
-    save(figure, file)
-    Image.open(file).convert("RGB").quantize(dither=Image.Dither.NONE).save(file, optimize=True)
-
-
-def draw_figures() -> None:
-    """Draws the learning curves of every experiment, and writes table1.csv."""
-    for folder in ("table1", "paper_batches", "printed"):
-        kept = groups(folder)
-        for env in DOMAINS:
-            # Scripted policies were measured in the full domain only.
-            references = _references("movie", "reference") if env == "full" else None
-            if cells := table1.find_cells(kept, env):
-                _save(table1.draw_table1(cells, env, references), f"{folder}_{env}")
-        if folder == "table1":
-            (replicas,) = table1.table1_report(kept).data
-            replace(replicas, name="table1").write(common.RESULTS)
-    for folder, report in (("ablations", ablations_report), ("explorers", grid_report)):
-        if kept := groups(folder):
-            for name, (_, draw) in report(kept).figures.items():
-                _save(draw(), name)
-    for name, (title, *played_in) in EXPERIMENTS.items():
-        _save(draw_comparison(groups(name), title=title, references=_references(*played_in)), name)
-
-
-def _references(corpus: str, setting: str) -> dict[str, float]:
-    """Returns the success of policies that do not learn, as reference lines of a figure."""
-    rates = {
-        policy: found["success_rate"]
-        for (*played_in, policy), found in measured().items()
-        if played_in == [corpus, setting]
-    }
-    privileged = {name: rates.pop(name) for name in (PRIVILEGED_POLICY,) if name in rates}
-    return reference_lines(rates, privileged)
+def cells(name: str, env: str) -> dict[str, Group]:
+    """Returns the runs of Table 1's agents in an environment, in the paper's order."""
+    of_env = labeled(one for one in groups(name) if one.first.env == env)
+    found = {one.agent: one for one in of_env}
+    return {agent: found[agent] for agent in PAPER[env] if agent in found}
 
 
 @block("results.table1", "table1")
 @block("results.paper_batches", "paper_batches")
 @block("results.printed", "printed")
-def _table1(folder: str) -> str:
-    """Returns the report on Table 1, its figures, and the commands of its runs."""
-    kept = groups(folder)
-    found = table1.table1_report(kept)
-    text = found.body
+def _table1(name: str) -> str:
+    """Returns Table 1's agents beside the paper's numbers, with one command."""
+    parts = []
     for env, title in DOMAINS.items():
-        text = text.replace(f"## env={env}\n", f"### {title}\n")
-        if f"table1_{env}" in found.figures:
-            text += f"\n\n![{title}: learning curves](figures/{folder}_{env}.png)"
-    return f"{text}\n\n{_commands(kept)}"
+        of_env = cells(name, env)
+        rows = []
+        for agent, own in of_env.items():
+            gap = NONE if agent == OURS else minus(of_env[OURS], own, "final")
+            numbers = (estimate(own.final), f"{PAPER[env][agent][0]:.4f}")
+            rows.append((agent, *numbers, *_early(own), gap))
+        head = (title, "final success", "the paper's", f"booked after {EARLY:,}", "cumulative")
+        parts.append(table((*head, f"{OURS} minus it"), rows, numbers=5))
+        if name == "table1":
+            parts.append(f"![{title}: learning curves](figures/{name}_{env}.png)")
+    return "\n\n".join([*parts, commands(name)])
 
 
-@block("results.explorers", grid_report, "explorers")
-@block("results.ablations", ablations_report, "ablations")
-def _report(made: Callable[[Sequence[Group]], Report], folder: str) -> str:
-    """Returns a report on the runs of a folder, without its heading."""
-    return made(groups(folder)).body.replace("## ", "### ")
+def _early(own: Group) -> tuple[object, object]:
+    """Returns the cells of success early and in all of training."""
+    booked = own.booked(EARLY)
+    return estimate(booked) if booked else NONE, estimate(own.cumulative)
+
+
+def _experiment(name: str) -> str:
+    """Returns the table and one command of an experiment."""
+    first, *others = groups(name)
+    rows = [(first.label, estimate(first.final), *_early(first), NONE)]
+    rows += [
+        (own.label, estimate(own.final), *_early(own), minus(first, own, "final")) for own in others
+    ]
+    head = ("agent", "final success", f"booked after {EARLY:,}", "cumulative")
+    shown = table((*head, f"{first.label} minus it"), rows, numbers=4)
+    figure = "" if name == "no_spike" else f"![Training success by round](figures/{name}.png)"
+    return "\n\n".join(filter(None, [shown, figure, commands(name)]))
+
+
+for _name in EXPERIMENTS:
+    block(f"results.{_name}", _name)(_experiment)
+
+
+@block("results.baselines", "baselines")
+@block("results.extending", "extending")
+def _commands(name: str) -> str:
+    return commands(name)
+
+
+@block("results.explorers")
+def _explorers() -> str:
+    """Returns each learner by each explorer, and minus its first one."""
+    rows = []
+    for learner, names in EXPLORERS.items():
+        first, *others = groups(*(f"explorers/{name}" for name in names))
+        rows.append((learner, code(first.first.explore), *_both(first), NONE, NONE))
+        for own, gaps in zip(others, _starred(first, others), strict=True):
+            rows.append(("", code(own.first.explore), *_both(own), *gaps))
+    head = ("learner", "explorer", "final", "cumulative", "final minus first", "cumulative minus")
+    return f"{table(head, rows, numbers=4)}\n\n{_STARS}\n\n{commands('explorers')}"
+
+
+@block("results.ablations")
+def _ablations() -> str:
+    """Returns the ablations, each minus the reference."""
+    reference = common.group("ablations/reference")
+    rows: list[tuple[object, ...]] = [("reference", *_both(reference), NONE, NONE)]
+    for changes in ABLATIONS:
+        changed = [common.group(f"ablations/{name}") for name in changes]
+        gaps = _starred(reference, changed)
+        for what, own, gap in zip(changes.values(), changed, gaps, strict=True):
+            rows.append((what, *_both(own), *gap))
+    head = ("changed", "final", "cumulative", "final minus reference", "cumulative minus")
+    return f"{table(head, rows, numbers=4)}\n\n{_STARS}\n\n{commands('ablations')}"
+
+
+_STARS = f"*: p < {ALPHA:g}".replace("0.", ".") + " by Holm's method for the rows of one block."
+
+
+def _both(own: Group) -> tuple[str, str]:
+    return f"{estimate(own.final).value:.3f}", f"{estimate(own.cumulative).value:.3f}"
+
+
+def _starred(first: Group, others: Sequence[Group]) -> list[tuple[str, ...]]:
+    """Returns the differences of final and cumulative success, with a star if significant."""
+    columns = []
+    for quantity in ("final", "cumulative"):
+        gaps = [pair(own, first).differences[quantity] for own in others]
+        marks = ["*" if p_value < ALPHA else "" for p_value in adjusted(gaps)]
+        columns.append([f"{difference(gap)}{mark}" for gap, mark in zip(gaps, marks, strict=True)])
+    return [*zip(*columns, strict=True)]
 
 
 @block("results.modes")
@@ -148,219 +191,180 @@ def _modes() -> str:
     lines = (common.RESULTS / "modes.jsonl").read_text(encoding="utf-8").splitlines()
     played = {entry["mode"]: entry["success_rate_per_replica"] for entry in map(json.loads, lines)}
     rows = [
-        (code(mode), estimate(rates), "–" if mode == "mean" else paired(rates, played["mean"]))
+        (code(mode), estimate(rates), NONE if mode == "mean" else paired(rates, played["mean"]))
         for mode, rates in played.items()
     ]
     return table(("evaluated by", "success", "minus the mean's"), rows, numbers=2)
 
 
-def _experiment(name: str) -> str:
-    """Returns the report's tables, figure and commands of one experiment."""
-    kept = groups(name)
-    figure = f"![Training success by round](figures/{name}.png)"
-    parts = comparison.comparison_report(kept).parts
-    shown = (str(part) for part in parts if part not in comparison.NOTES)
-    return "\n\n".join([*filter(None, shown), figure, _commands(kept)])
-
-
-for _name in EXPERIMENTS:
-    block(f"results.{_name}", _name)(_experiment)
-
-
-@block("learning.quick")
-def _quick() -> str:
-    """Returns a row for each seed of the README's first command."""
-    (group,) = groups("quick")
-    reached = rounds_to_reach(group.evaluation, 0.6, window=1).tolist()
-    rows = [
-        (seed, f"{final:.3f}", f"{training:.3f}", f"{rounds:.0f}")
-        for (seed, *_), final, training, rounds in zip(
-            group.members, group.final, group.cumulative, reached, strict=True
-        )
-    ]
-    return table(("seed", "final success", "cumulative", "rounds to 0.6"), rows, numbers=4)
-
-
-@block("learning.expect")
-def _expect() -> str:
-    """Returns the sentence on the outcome of the README's first command."""
-    (group,) = groups("quick")
-    finals = group.final
-    low, mean, high = (f"{of(finals):.2f}" for of in (min, fmean, max))
-    return (
-        "Success stays near zero for the first five rounds, then rises: "
-        f"{len(finals)} seeds end by booking between {low} and {high} of the dialogues "
-        f"(mean {mean}; [each seed, and why learning starts late](docs/learning_starts.md))."
-    )
-
-
-@block("learning.spikes")
-def _spikes() -> str:
-    """Returns the table of what the buffer is spiked with."""
-    head = ("spiked with", "agent", "env", "rounds", "rate", "seeds")
-    shown = []
-    for group in groups("quick_soft/soft", "spikes"):
-        setting = group.setting
-        spike = setting["spike.policy"] or {"rule": "rule"}.get(setting["spike.name"], "repair")
-        spike = f"{setting['spike.dialogues']:,} of {code(spike)}"
-        if setting.get("spike.margin"):
-            spike += ", imitated"
-        about = (spike, group.label.partition(",")[0], setting["env.name"])
-        booked = [str(estimate(group.booked(first))) for first in _SPIKED]
-        rate = "constant" if setting["protocol.lr_final"] == 1 else "falls"
-        trained = (str(setting["protocol.rounds"]), rate, str(len(group.final)))
-        shown.append((*about, *trained, *booked, str(estimate(group.final))))
-    shown.sort(key=lambda row: (int(row[3]), row[2] != "full", float(row[-1].partition(" ")[0])))
-    return table((*head, *(f"booked after {n:,}" for n in _SPIKED), "final"), shown)
-
-
-def _booked(name: str, group: Group, budgets: Sequence[int]) -> tuple[object, ...]:
-    """Returns a row: the name, the shares booked after the budgets, and the final success."""
-    return (name, *(estimate(group.booked(first)) for first in budgets), estimate(group.final))
-
-
-def _booked_head(of: str, budgets: Sequence[int]) -> tuple[str, ...]:
-    return (of, *(f"booked after {first:,}" for first in budgets), "final")
-
-
-@block("learning.searched")
-def _searched() -> str:
-    """Returns the searched settings of agents next to the defaults, and differences by pairs."""
-    budgets = (500, 1_000, 3_000)
-    settings = ("searched", "default")
-    agents = ("bbqn", "dqn_boltzmann", "noisy_dqn", "dqn", "dqn_bootstrap", "dqn_vime")
-    keys = [f"{agent}_{setting}" for agent in agents for setting in settings]
-    keys[2:2] = ["bbqn_posterior", "bbqn_learner"]
-    keys += [f"extension_{agent}_searched" for agent in agents[:2]]
-    found = {key: groups(f"searched/{key}")[0] for key in keys}
-    parts = {
-        "posterior": "default, but the posterior searched",
-        "learner": "default, but the learner searched",
-    }
-    names = {}
-    for key, group in found.items():
-        setting = key.rpartition("_")[2]
-        name = f"{group.agent.removeprefix('Soft ')}, {parts.get(setting, setting)}"
-        names[key] = name + (", domain extension" if key.startswith("extension") else "")
-    rows = [_booked(names[key], group, budgets) for key, group in found.items()]
-    compared = [(f"{agent}_searched", f"{agent}_default") for agent in agents]
-    compared += [
-        (f"bbqn_{setting}", f"{other}_{setting}")
-        for other in agents[1:3]
-        for setting in settings[::-1]
-    ]
-    compared.append(("extension_bbqn_searched", "extension_dqn_boltzmann_searched"))
-    differences = []
-    for one, other in compared:
-        values = pairs.pair(found[one], found[other]).differences
-        shown = (pairs.difference(values[quantity]) for quantity in ("early", "final"))
-        differences.append((f"{names[one]}, minus {names[other]}", *shown))
-    beside = _booked_head("difference by pairs", (pairs.EARLY,))
-    return f"{table(_booked_head('agent', budgets), rows)}\n\n{table(beside, differences)}"
-
-
-@block("learning.searched_long")
-def _searched_long() -> str:
-    """Returns agents with their searched settings in Table 1's setting, next to others."""
-    budgets = (1_000, 5_000)
-    folders = ["searched/table1_dqn_boltzmann", "searched/table1_bbqn"]
-    folders += [f"table1/full/{agent}" for agent in ("dqn_boltzmann", "bbqn_map_soft", "bbqn_map")]
-    found = [groups(folder)[0] for folder in folders]
-    rows: list[tuple[object, ...]] = []
-    for folder, group in zip(folders, found, strict=True):
-        name = group.agent + ", searched" * folder.startswith("searched")
-        difference = pairs.pair(group, found[0]).differences["final"]
-        beside = NONE if group is found[0] else pairs.difference(difference)
-        rows.append((*_booked(name, group, budgets), beside))
-    return table((*_booked_head("150 rounds", budgets), "minus the first"), rows)
-
-
-@block("gp.table1")
-def _gaussian_process() -> str:
-    """Returns the Gaussian process next to agents of Table 1, a table for each environment."""
-    budgets = (500, 1_000, 2_000, 5_000)
-    tables = []
-    for env, of in (("full domain", "full"), ("domain extension", "extension")):
-        rows = []
-        for name in ("gp", "bbqn_map_soft", "bbqn_map", "dqn_boltzmann", "dqn"):
-            (group,) = groups(f"table1/{of}/{name}")
-            rows.append((*_booked(group.agent, group, budgets), f"{group.reward:.2f}"))
-        tables.append(table((*_booked_head(env, budgets), "reward"), rows))
-    return "\n\n".join(tables)
-
-
 @block("results.scripts")
 def _best_script() -> str:
     """Returns the sentence on the success of scripted policies in the full domain."""
-    script, best, rule, ceiling = _scripts()
+    rates = _rates("movie", "reference")
+    best = max(rates.keys() - {RANDOM_POLICY, PRIVILEGED_POLICY}, key=rates.__getitem__)
     return (
-        f"In the full domain the best script, {code(script)}, books {best} of the dialogues, the "
-        f"rule agent that spikes the buffer {rule}, and a privileged policy that reads the user's "
-        f"hidden goal {ceiling}."
+        f"In the full domain the best script, {code(best)}, books {rates[best]:.2f} of the "
+        f"dialogues, the rule agent that spikes the buffer {rates['rule']:.2f}, and a privileged "
+        f"policy that reads the user's hidden goal {rates[PRIVILEGED_POLICY]:.2f}."
     )
 
 
-def _scripts() -> tuple[str, str, str, str]:
-    """Returns the best script of our corpus, its success, the rule agent's and the ceiling."""
-    rates = {
+def _rates(corpus: str, setting: str) -> dict[str, float]:
+    """Returns the success of policies that do not learn."""
+    return {
         policy: found["success_rate"]
         for (*played_in, policy), found in measured().items()
-        if played_in == ["movie", "reference"]
+        if played_in == [corpus, setting]
     }
-    best = max(rates.keys() - {RANDOM_POLICY, PRIVILEGED_POLICY}, key=rates.__getitem__)
-    return best, *(f"{rates[name]:.2f}" for name in (best, "rule", PRIVILEGED_POLICY))
 
 
-def compared(rows: dict[str, list[str]], head: list[str]) -> str:
-    """Returns the final success of two agents and their differences by pairs.
+def compared(rows: Mapping[str, list[str]], head: Sequence[str]) -> str:
+    """Returns the differences of two agents by pairs.
 
     Args:
-        rows: title -> the folders of their runs; a row without runs is left out.
+        rows: title -> the names of their runs; a row without runs is left out.
         head: column titles of the rows and the two agents.
     """
     lines = []
-    for title, folders in rows.items():
-        both = [group for folder in folders for group in groups(folder)]
+    for title, names in rows.items():
+        both = [own for name in names for own in groups(name)]
         if len(both) == 2:
-            one, other = both
-            found = pairs.pair(one, other).differences
-            differences = (
-                pairs.difference(found[quantity]) if quantity in found else NONE
-                for quantity in COLUMNS
-            )
-            lines.append((title, estimate(one.final), estimate(other.final), *differences))
-    return table((*head, *COLUMNS.values()), lines, numbers=2 + len(COLUMNS))
+            found = pair(*both).differences
+            gaps = (difference(found[q]) if q in found else NONE for q in QUANTITIES)
+            lines.append((title, *gaps))
+    on, one, other = head
+    columns = (f"{on}: {one} minus {other}", *QUANTITIES.values())
+    return table(columns, lines, numbers=len(QUANTITIES))
 
 
 for _name, _table in COMPARED["tables"].items():
     block(_name, _table["rows"], _table["head"])(compared)
 
 
+class Claim(NamedTuple):
+    """A claim that one agent is ahead of another, and what came of it."""
+
+    trained_on: str
+    one: str
+    other: str
+    quantity: str
+    difference: object
+    p: object
+    verdict: str
+    paper: object
+
+
+VERDICTS = ("yes", "not significant", "no")
+
+OTHERS = ("DQN", "DQN-Boltzmann", "DQN-Bootstrap", "BBQN-MC", "BBQN-VIME-MAP")
+"""Agents that BBQN-MAP is claimed to beat, by the paper's Table 1 or its text."""
+
+
+def claims() -> Iterator[Claim]:
+    """Yields the claims. The p-values of one setting and quantity are adjusted together."""
+    for quantity in QUANTITIES:
+        for env, title in DOMAINS.items():
+            of_env, paper = cells("table1", env), PAPER[env]
+            declared = [(OURS, name) for name in paper if name != OURS]
+            for claim in _judged(of_env, declared, quantity, f"Table 1, {title.lower()}"):
+                lead = f"{paper[OURS][0] - paper[claim.other][0]:+.3f}"
+                if claim.other in OTHERS:
+                    yield claim._replace(paper=lead if quantity == "final" else NONE)
+        for setting, claimed in COMPARED["claims"].items():
+            names = {one: name for claim in claimed for one, name in (claim[:2], claim[2:])}
+            found = {one: own for one, name in names.items() for own in groups(name)}
+            declared = [(one, other) for one, _, other, _ in claimed]
+            yield from _judged(found, declared, quantity, setting)
+
+
+def _judged(
+    found: Mapping[str, Group], declared: Sequence[tuple[str, str]], quantity: str, setting: str
+) -> Iterator[Claim]:
+    """Yields the verdict on each declared comparison of runs that both have the quantity."""
+    gaps = [
+        pair(found[one], found[other]).differences.get(quantity, ())
+        if {one, other} <= found.keys()
+        else ()
+        for one, other in declared
+    ]
+    for (one, other), gap, p_value in zip(declared, gaps, adjusted(gaps), strict=True):
+        if len(gap) > 1:
+            mean = difference(gap)
+            direction = "yes" if mean.value > 0 else "no"
+            verdict = direction if p_value < ALPHA else "not significant"
+            yield Claim(setting, one, other, QUANTITIES[quantity], mean, p_value, verdict, NONE)
+
+
 @block("results.claims")
 def _claims() -> str:
-    """Returns the claims as Markdown: contradictions of the paper first, claims not run last."""
-    of_table1 = groups("table1")
-    rows = []
-    for quantity, verb in VERBS.items():
-        found: list[tuple[str, pairs.Comparison, str]] = []
-        for env, title in DOMAINS.items():
-            paper = table1.PAPER[env]
-            for item in table1.comparisons(table1.find_cells(of_table1, env), env, quantity):
-                rate = paper[item.one].success_rate - paper[item.other].success_rate
-                theirs = f"{rate:+.3f}" if quantity == "final" else "–"
-                if item.other in OTHERS:
-                    found.append((f"Table 1, {title.lower()}", item, theirs))
-        for setting, claimed in COMPARED["claims"].items():
-            folders = {one: folder for claim in claimed for one, folder in (claim[:2], claim[2:])}
-            kept = {name: group for name, folder in folders.items() for group in groups(folder)}
-            declared = [(one, other) for one, _, other, _ in claimed]
-            for item in pairs.compare(kept, declared, quantity, same_dialogues=False):
-                found.append((setting, item, "–"))
-        for setting, item, theirs in found:
-            *numbers, answer = item.cells()
-            claim = f"{item.one} {verb} {item.other}"
-            rows.append((claim, setting, answer, *numbers, theirs))
-    order = ("no", "not significant", "yes", pairs.NOT_PAIRED, pairs.NOT_RUN)
-    rows.sort(key=lambda row: order.index(row[2]))
-    head = ("claim", "trained on", "verdict", "difference", "p", "the paper's difference")
-    return table(head, rows, numbers=3)
+    """Returns the number of claims by verdict, and those whose reverse is shown."""
+    found = [*claims()]
+    counts = Counter((claim.trained_on, claim.verdict) for claim in found)
+    settings = dict.fromkeys(claim.trained_on for claim in found)
+    rows = [(on, *(counts[on, verdict] for verdict in VERDICTS)) for on in settings]
+    reversed_ = [
+        (f"{one} minus {other}, {quantity}", on, gap)
+        for on, one, other, quantity, gap, _, verdict, _ in found
+        if verdict == "no"
+    ]
+    return "\n\n".join(
+        [
+            table(("claimed to be ahead", *VERDICTS), rows, numbers=3),
+            table(("the reverse is shown", "trained on", "difference"), reversed_, numbers=1),
+            "Every comparison with its p-value: `results/comparisons.csv`.",
+        ]
+    )
+
+
+def write_claims() -> None:
+    """Writes comparisons.csv."""
+    with (common.RESULTS / "comparisons.csv").open("w", encoding="utf-8", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(Claim._fields)
+        writer.writerows(claims())
+
+
+def draw_figures() -> None:
+    """Draws the learning curves of the experiments, ablations and explorers."""
+    for env, title in DOMAINS.items():
+        of_env = cells("table1", env)
+        panels = {
+            family: [of_env[agent] for agent in agents] for family, agents in FAMILIES.items()
+        }
+        # Scripted policies were measured in the full domain only.
+        played_in = ("movie", "reference") if env == "full" else None
+        _save(_curves(panels, f"Table 1, {title.lower()}", played_in), f"table1_{env}")
+    for name, (title, *played_in) in EXPERIMENTS.items():
+        if name != "no_spike":  # without any success
+            _save(_curves({"": groups(name)}, title, tuple(played_in)), name)
+    by_learner = {
+        learner: groups(*(f"explorers/{name}" for name in names))
+        for learner, names in EXPLORERS.items()
+    }
+    by_explorer = {
+        learner: {own.first.explore: estimate(own.final) for own in members}
+        for learner, members in by_learner.items()
+    }
+    _save(draw_intervals(by_explorer, title="Final success by explorer"), "grid")
+    changed = {
+        what: estimate(common.group(f"ablations/{name}").final)
+        for name, what in [("reference", "reference"), *chain(*(of.items() for of in ABLATIONS))]
+    }
+    _save(draw_intervals({"": changed}, title="Final success of the ablations"), "ablations")
+
+
+def _curves(
+    panels: Mapping[str, Sequence[Group]], title: str, played_in: tuple[str, ...] | None
+) -> Figure:
+    """Returns learning curves beside the policies that do not learn."""
+    rates = _rates(*played_in) if played_in else {}
+    privileged = {name: rates.pop(name) for name in (PRIVILEGED_POLICY,) if name in rates}
+    references = reference_lines(rates, privileged)
+    return draw_comparison(panels, title=title, references=references)
+
+
+def _save(figure: Figure, name: str) -> None:
+    """Writes a figure of the documentation in 256 colors, a third of the size."""
+    file = common.FIGURES / f"{name}.png"
+    save(figure, file)
+    Image.open(file).convert("RGB").quantize(dither=Image.Dither.NONE).save(file, optimize=True)

@@ -7,7 +7,7 @@ from collections import defaultdict
 import numpy as np
 from matplotlib.figure import Figure
 
-from bbq_torchrl.evaluation.figures import COLORS
+from bbq_torchrl.utils.reports import COLORS
 from benchmarks.parts.rows import as_table, number, read
 from scripts.docs_blocks.common import FIGURES, RESULTS, block, read_csv, table
 

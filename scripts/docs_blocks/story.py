@@ -6,10 +6,12 @@ from functools import partial
 from statistics import fmean
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.evaluation import pairs, table1
-from scripts.docs_blocks.common import block, code, short, table
-from scripts.docs_blocks.results import groups
-from scripts.docs_blocks.tables import measured, unspiked
+from bbq_torchrl.evaluation.compare_runs import PAPER
+from bbq_torchrl.evaluation.pairs import EARLY
+from scripts.docs_blocks.common import block, code, group, groups, minus, short, table
+from scripts.docs_blocks.learning import unspiked
+from scripts.docs_blocks.results import cells
+from scripts.docs_blocks.tables import measured
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -39,10 +41,6 @@ SEARCHED_LONG = [
 BY_ENV = "{} in the full domain, {} in domain extension"
 
 
-def _difference(one: Group, other: Group, quantity: str) -> Estimate:
-    return pairs.difference(pairs.pair(one, other).differences[quantity])
-
-
 def _verdict(*differences: Estimate) -> str:
     """Returns whether all differences are above 0, by their intervals."""
     if all(item.low > 0 for item in differences):
@@ -54,24 +52,19 @@ def _range(rates: Sequence[float]) -> str:
     return f"{short(min(rates))} to {short(max(rates))}"
 
 
-def _dialogues(group: Group) -> int:
-    """Returns the training dialogues of each seed."""
-    return group.round_dialogues * group.first.rounds
-
-
 def _cells() -> dict[str, dict[str, Group]]:
     """Returns the runs of Table 1: environment -> agent -> group."""
-    return {env: table1.find_cells(groups(folder), env) for env, folder in TABLE1.items()}
+    return {env: cells(name, env) for env, name in TABLE1.items()}
 
 
 def _differences(one: str, other: str, quantity: str) -> list[Estimate]:
     """Returns the difference of two agents of Table 1 in each of its environments."""
-    return [_difference(cells[one], cells[other], quantity) for cells in _cells().values()]
+    return [minus(of_env[one], of_env[other], quantity) for of_env in _cells().values()]
 
 
 def _of_folders(one: str, other: str, quantity: str) -> Estimate:
     """Returns the difference of the runs of two result folders."""
-    return _difference(groups(one)[0], groups(other)[0], quantity)
+    return minus(group(one), group(other), quantity)
 
 
 def _of_each(pairs_of_folders: Sequence[tuple[str, str]], quantity: str) -> list[Estimate]:
@@ -81,13 +74,13 @@ def _of_each(pairs_of_folders: Sequence[tuple[str, str]], quantity: str) -> list
 def _finals(names: Iterable[str]) -> list[list[float]]:
     """Returns the mean final success of agents of Table 1 in each of its environments."""
     chosen = [*names]
-    return [[fmean(cells[name].final) for name in chosen] for cells in _cells().values()]
+    return [[fmean(of_env[name].final) for name in chosen] for of_env in _cells().values()]
 
 
 @block("results.early")
 def _early() -> str:
     """Returns BBQN minus DQN-Boltzmann, early and at the end, in each setting."""
-    rounds = groups(SEARCHED[0][0])[0].first.rounds
+    rounds = group(SEARCHED[0][0]).first.rounds
     settings = {
         "Table 1: BBQN-MAP": partial(_differences, "BBQN-MAP", "DQN-Boltzmann"),
         "Table 1: Soft BBQN-MAP, the default of `agent=bbqn`": partial(_of_each, SOFT),
@@ -95,16 +88,16 @@ def _early() -> str:
         f"both searched, {rounds} rounds": partial(_of_each, SEARCHED),
         "both searched, in Table 1's setting": partial(_of_each, SEARCHED_LONG),
     }
-    quantities = {"early": f"first {pairs.EARLY:,} dialogues", "final": "end"}
+    quantities = {"early": f"first {EARLY:,} dialogues", "final": "end"}
     environments = ("full", "extension")
     header = (f"{what}, {env}" for what in quantities.values() for env in environments)
     rows = []
     for name, differences in settings.items():
-        cells: list[object] = [name]
+        row: list[object] = [name]
         for quantity in quantities:
             found = differences(quantity)
-            cells += [*found, *["not run"] * (len(environments) - len(found))]
-        rows.append(cells)
+            row += [*found, *["not run"] * (len(environments) - len(found))]
+        rows.append(row)
     return table(("BBQN minus DQN-Boltzmann", *header), rows)
 
 
@@ -121,26 +114,23 @@ def _learned_unspiked() -> dict[str, int]:
 def _story() -> str:
     """Returns the claims as Markdown, contradictions of the paper or of us first."""
     scripted = measured()["movie", "reference", "repair"]["success_rate"]
-    trained = _finals(table1.PAPER["full"])
-    bbqn = _finals(name for name in table1.PAPER["full"] if name.startswith("BBQN"))
+    trained = _finals(PAPER["full"])
+    bbqn = _finals(name for name in PAPER["full"] if name.startswith("BBQN"))
     early = _differences("BBQN-MAP", "DQN-Boltzmann", "early")
     soft = _of_each(SOFT, "early")
     by_vime = _differences("DQN-VIME-MAP", "DQN", "final")
     final = _differences("BBQN-MAP", "DQN", "final")
     level = _of_folders("table1/full/bbqn_map", "searched/table1_dqn_boltzmann", "final")
-    leads = [
-        cells["BBQN-MAP"].success_rate - cells["DQN"].success_rate
-        for cells in table1.PAPER.values()
-    ]
+    leads = [of_env["BBQN-MAP"][0] - of_env["DQN"][0] for of_env in PAPER.values()]
     explorers = [
-        groups(f"explorers/bbqn/{number}_{name}")[0]
+        group(f"explorers/bbqn/{number}_{name}")
         for number, name in enumerate(("thompson", "greedy", "epsilon_greedy", "boltzmann"))
     ]
     by_epsilon, greedily = (
-        groups(f"explorers/dqn/{name}")[0] for name in ("0_epsilon_greedy", "1_greedy")
+        group(f"explorers/dqn/{name}") for name in ("0_epsilon_greedy", "1_greedy")
     )
-    in_vain = sum(_dialogues(group) * len(group.final) for group in groups("no_spike"))
-    (ablated,) = groups("ablations/spike_none")
+    in_vain = sum(own.dialogues * len(own.final) for own in groups("no_spike"))
+    ablated = group("ablations/spike_none")
     found = sum(share > 0 for share in ablated.cumulative)
     learned = _learned_unspiked()
     best = max(learned, key=learned.__getitem__)
@@ -148,7 +138,7 @@ def _story() -> str:
     rows = [
         (
             "BBQN is ahead from the first dialogue",
-            f"booked of the first {pairs.EARLY:,} dialogues, BBQN-MAP minus DQN-Boltzmann: "
+            f"booked of the first {EARLY:,} dialogues, BBQN-MAP minus DQN-Boltzmann: "
             f"{BY_ENV.format(*early)}; Soft BBQN-MAP, the default of `agent=bbqn`: "
             f"{BY_ENV.format(*soft)}; both with [searched "
             "settings](learning_starts.md#search-settings): "
@@ -181,16 +171,16 @@ def _story() -> str:
             "the same learner books {} of its training dialogues by Thompson sampling, {} "
             "greedily, {} by ε and {} by Boltzmann. But the paper's ε is not the best explorer of "
             "DQN: greedily it ends {} above".format(
-                *(short(fmean(group.cumulative)) for group in explorers),
-                _difference(greedily, by_epsilon, "final"),
+                *(short(fmean(own.cumulative)) for own in explorers),
+                minus(greedily, by_epsilon, "final"),
             ),
-            _verdict(*(_difference(explorers[0], one, "cumulative") for one in explorers[1:])),
+            _verdict(*(minus(explorers[0], one, "cumulative") for one in explorers[1:])),
         ),
         (
             "Nobody learns without spiking",
             f"BBQN-MAP and DQN by ε .04: no success in {in_vain:,} dialogues, where uniformly "
             "random actions succeed in one of 2,000; a first success within "
-            f"{_dialogues(ablated):,} dialogues for {found} of {len(ablated.final)} other seeds of "
+            f"{ablated.dialogues:,} dialogues for {found} of {len(ablated.final)} other seeds of "
             f"BBQN-MAP; but within {int(seeds[0]['dialogues']):,} dialogues "
             f"{learned['dqn_boltzmann']} of {len(seeds)} seeds of DQN-Boltzmann and "
             f"{learned[best]} of {code(best)} reach .3 in training, "

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 from collections import defaultdict
 from pathlib import Path
-from statistics import fmean, median
+from statistics import fmean
 from typing import Any
 
-from bbq_torchrl.evaluation.curves import Reach
+import yaml
+
 from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.runs.shipped import PREFIX, SHIPPED, shipped_agents
 from bbq_torchrl.utils.statistics import estimate
@@ -37,29 +38,6 @@ def _adversary() -> str:
     return f"{shown}\n\n```bash\nBBQ_RECORD=results/adversary.json {found['command']}\n```"
 
 
-@block("learning.plateau")
-def _plateau() -> str:
-    """Returns the median prediction over seeds, a line for each initial posterior."""
-    values = defaultdict(list)
-    for line in read_csv("plateau.csv"):
-        values[line["start"], f"{int(line['updates']):,}"].append(float(line["q_value"]))
-    cells = {key: f"{median(of_seeds):.1f}" for key, of_seeds in values.items()}
-    return pivot("start, after updates", cells)
-
-
-@block("learning.imitation")
-def _imitation() -> str:
-    """Returns the table of a network that imitates the best script without its memory."""
-    found: dict[str, list[float]] = defaultdict(list)
-    for row in read_csv("imitation.csv"):
-        found[f"{int(row['dialogues']):,}"].append(float(row["success"]))
-    rows = [
-        (n, f"{fmean(rates):.3f}", ", ".join(f"{r:.3f}" for r in rates))
-        for n, rates in found.items()
-    ]
-    return table(("dialogues imitated", "success", "seeds"), rows)
-
-
 @block("parts.cartpole")
 def _cartpole() -> str:
     """Returns the return of each seed in the loop of docs/parts.md, a line for each agent."""
@@ -68,33 +46,6 @@ def _cartpole() -> str:
     cells = {(names[row["agent"]], f"seed {row['seed']}"): row["return"] for row in found}
     command = "python examples/cartpole_bbqn.py --agent bbqn --seed 0 --file results/cartpole.csv"
     return f"{pivot('return', cells)}\n\n```bash\n{command}\n```"
-
-
-@block("learning.tried", "tried.csv", "success_rate", "final")
-@block("learning.early", "tried_early.csv", "evaluation_20", "evaluated after 20 rounds")
-@block("learning.targets", "tried_targets.csv", "late_success", "rounds 26 to 30")
-@block("learning.experience", "tried_experience.csv", "success_rate", "final")
-@block("learning.end", "tried_end.csv", "success_rate", "final")
-def _tried(file: str, end: str, name: str) -> str:
-    """Returns each variant's difference from the first one, by pairs of seeds.
-
-    Args:
-        file: a row for each variant and seed.
-        end: the column that says how the training ended.
-        name: of that column in the table.
-    """
-    runs = defaultdict(list)
-    for line in read_csv(file):
-        runs[line["variant"]].append((float(line["cumulative_success"]), float(line[end])))
-    base, *_ = runs.values()
-    rows = []
-    for variant, values in runs.items():
-        row = [variant, str(len(values))]
-        for own, first in zip(zip(*values, strict=True), zip(*base, strict=True), strict=True):
-            row += [f"{fmean(own):.3f}", "–" if values is base else paired(own, first)]
-        rows.append(row)
-    head = ("variant", "seeds", "cumulative", "paired difference", name, "paired difference")
-    return table(head, rows, numbers=5)
 
 
 @block("results.tandem", "bbqn_map_dqn", "dqn_dqn", "dqn_bbqn_map")
@@ -209,9 +160,9 @@ def _shipped() -> str:
     """Returns the shipped agents, their commands and their success."""
     rows = []
     for name in shipped_agents():
-        folder = SHIPPED / name
-        one = read_result(folder)
-        shown = (code(f"{PREFIX}{name}"), code(command(folder)), one.code, one.rounds)
+        one = read_result(SHIPPED / name)
+        overrides = yaml.safe_load((SHIPPED / name / "overrides.yaml").read_text(encoding="utf-8"))
+        shown = (code(f"{PREFIX}{name}"), code(command(overrides)), one.code, one.rounds)
         rows.append((*shown, _rate(vars(one))))
     return table(("name", "trained by", "at commit", "rounds", "success"), rows, numbers=2)
 
@@ -252,40 +203,3 @@ def _comparison() -> str:
         )
     head = ("goals, slot errors", "policy", "public simulator", "ours", "difference / its error")
     return table(head, rows, numbers=3)
-
-
-def unspiked() -> dict[tuple[str, str], list[dict[str, str]]]:
-    """Returns the seeds that learn without spiking, by domain and agent."""
-    seeds: dict[tuple[str, str], list[dict[str, str]]] = defaultdict(list)
-    for row in read_csv("unspiked.csv"):
-        seeds[row["domain"], row["agent"]].append(row)
-    return seeds
-
-
-@block("results.unspiked")
-def _unspiked() -> str:
-    """Returns a table for each domain of agents that learn without spiking, the best first."""
-    tables: dict[str, list[tuple[float, tuple[str, ...]]]] = defaultdict(list)
-    for (domain, agent), rows in unspiked().items():
-        most = int(rows[0]["dialogues"])
-        booked = [estimate([float(row[key]) for row in rows]) for key in _UNSPIKED]
-        times = (
-            Reach(tuple(float(row[key] or "inf") for row in rows), most, 1)
-            for key in ("first_success", "to_0.3")
-        )
-        reached = (f"{one.shown(one.median)} ({one.reached} of {len(rows)})" for one in times)
-        tables[domain].append((booked[-2].value, (code(agent), *reached, *map(str, booked))))
-    return "\n\n".join(
-        table(
-            (f"domain {code(domain)}", *_UNSPIKED_HEAD),
-            [cells for _, cells in sorted(lines, reverse=True)],
-        )
-        for domain, lines in tables.items()
-    )
-
-
-_UNSPIKED = ("booked_1000", "booked_2000", "booked", "final")
-_UNSPIKED_HEAD = (
-    *("dialogues to the first success", "to .3", "booked after 1,000", "booked after 2,000"),
-    *("booked in all", "final success"),
-)

@@ -1,0 +1,218 @@
+"""Tables of what makes learning start earlier or end higher."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from statistics import fmean, median
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.evaluation.curves import Reach, rounds_to_reach
+from bbq_torchrl.evaluation.pairs import EARLY
+from bbq_torchrl.utils.reports import NONE
+from bbq_torchrl.utils.statistics import estimate
+from scripts.docs_blocks.common import (
+    block,
+    code,
+    group,
+    groups,
+    minus,
+    paired,
+    pivot,
+    read_csv,
+    table,
+)
+
+if TYPE_CHECKING:
+    from bbq_torchrl.evaluation.groups import Group
+    from bbq_torchrl.utils.statistics import Estimate
+
+
+@block("learning.plateau")
+def _plateau() -> str:
+    """Returns the median prediction over seeds, a line for each initial posterior."""
+    values = defaultdict(list)
+    for line in read_csv("plateau.csv"):
+        values[line["start"], f"{int(line['updates']):,}"].append(float(line["q_value"]))
+    cells = {key: f"{median(of_seeds):.1f}" for key, of_seeds in values.items()}
+    return pivot("start, after updates", cells)
+
+
+@block("learning.imitation")
+def _imitation() -> str:
+    """Returns the table of a network that imitates the best script without its memory."""
+    found: dict[str, list[float]] = defaultdict(list)
+    for row in read_csv("imitation.csv"):
+        found[f"{int(row['dialogues']):,}"].append(float(row["success"]))
+    rows = [
+        (n, f"{fmean(rates):.3f}", ", ".join(f"{r:.3f}" for r in rates))
+        for n, rates in found.items()
+    ]
+    return table(("dialogues imitated", "success", "seeds"), rows)
+
+
+@block("learning.tried", "tried.csv", "success_rate", "final")
+@block("learning.early", "tried_early.csv", "evaluation_20", "after 20 rounds")
+@block("learning.targets", "tried_targets.csv", "late_success", "rounds 26 to 30")
+@block("learning.experience", "tried_experience.csv", "success_rate", "final")
+@block("learning.end", "tried_end.csv", "success_rate", "final")
+def _tried(file: str, end: str, name: str) -> str:
+    """Returns each variant's difference from the first one by pairs of seeds, and the first one.
+
+    Args:
+        file: a row for each variant and seed.
+        end: the column that says how the training ended.
+        name: of that column in the table.
+    """
+    runs = defaultdict(list)
+    for line in read_csv(file):
+        runs[line["variant"]].append((float(line["cumulative_success"]), float(line[end])))
+    (variant, values), *others = runs.items()
+    base = [*zip(*values, strict=True)]
+    rows = [(variant, *(f"{fmean(of):.3f}" for of in base))]
+    for other, of in others:
+        columns = zip(zip(*of, strict=True), base, strict=True)
+        rows.append((other, *(paired(own, first) for own, first in columns)))
+    return table((f"variant, {len(values)} seeds", "cumulative", name), rows, numbers=2)
+
+
+@block("learning.quick")
+def _quick() -> str:
+    """Returns a row for each seed of the README's first command."""
+    own = group("quick")
+    reached = rounds_to_reach(own.evaluation, 0.6, window=1).tolist()
+    rows = [
+        (seed, f"{final:.3f}", f"{training:.3f}", f"{rounds:.0f}")
+        for (seed, *_), final, training, rounds in zip(
+            own.members, own.final, own.cumulative, reached, strict=True
+        )
+    ]
+    return table(("seed", "final success", "cumulative", "rounds to 0.6"), rows, numbers=4)
+
+
+@block("learning.expect")
+def _expect() -> str:
+    """Returns the sentence on the outcome of the README's first command."""
+    finals = group("quick").final
+    low, mean, high = (f"{of(finals):.2f}" for of in (min, fmean, max))
+    return (
+        f"Success stays near zero for the first five rounds, then rises: {len(finals)} seeds end "
+        f"by booking between {low} and {high} of the dialogues (mean {mean})."
+    )
+
+
+@block("learning.spikes")
+def _spikes() -> str:
+    """Returns the table of what the buffer is spiked with."""
+    shown = []
+    for own in groups("quick_soft/soft", "spikes"):
+        setting = own.setting
+        spike = f"{setting['spike.dialogues']:,} of {code(setting['spike.policy'])}"
+        if setting.get("spike.margin"):
+            spike += ", imitated"
+        rounds, env, final = own.first.rounds, own.first.env, estimate(own.final)
+        rate = "constant" if setting["protocol.lr_final"] == 1 else "falls"
+        order = (rounds, env != "full", final.value)
+        shown.append(
+            (order, (spike, own.agent, env, rounds, rate, estimate(own.booked(EARLY)), final))
+        )
+    rows = [row for _, row in sorted(shown, key=lambda item: item[0])]
+    head = ("spiked with", "agent", "env", "rounds", "rate", f"booked after {EARLY:,}", "final")
+    return table(head, rows, numbers=2)
+
+
+SEARCHED = ("bbqn", "dqn_boltzmann", "noisy_dqn", "dqn", "dqn_bootstrap", "dqn_vime")
+"""Agents with searched settings."""
+
+
+@block("learning.searched")
+def _searched() -> str:
+    """Returns agents with searched settings, each next to the default, and between agents."""
+    rows = []
+    for agent in SEARCHED:
+        searched, default = (group(f"searched/{agent}_{of}") for of in ("searched", "default"))
+        name = searched.agent.removeprefix("Soft ")
+        rows.append((name, *_early_and_end(searched), *_gaps(searched, default)))
+    for part in ("posterior", "learner"):
+        own, default = group(f"searched/bbqn_{part}"), group("searched/bbqn_default")
+        rows.append((f"BBQN-MAP, only the {part}", *_early_and_end(own), *_gaps(own, default)))
+    head = ("searched", f"first {EARLY:,}", "final", f"minus default, {EARLY:,}", "final")
+    bbqn = [(name, group(f"searched/{name}")) for name in ("bbqn_searched", "bbqn_default")]
+    between = []
+    for other in SEARCHED[1:3]:
+        for name, own in bbqn:
+            rival = group(f"searched/{name.replace('bbqn', other)}")
+            between.append((f"{name.partition('_')[2]}, {rival.agent}", *_gaps(own, rival)))
+    extension = (group(f"searched/extension_{agent}_searched") for agent in SEARCHED[:2])
+    between.append(("searched, DQN-Boltzmann, extension", *_gaps(*extension)))
+    beside = ("BBQN minus", f"first {EARLY:,}", "final")
+    return f"{table(head, rows, numbers=4)}\n\n{table(beside, between, numbers=2)}"
+
+
+def _early_and_end(own: Group) -> tuple[str, str]:
+    return f"{estimate(own.booked(EARLY)).value:.3f}", f"{estimate(own.final).value:.3f}"
+
+
+def _gaps(one: Group, other: Group) -> tuple[Estimate, Estimate]:
+    return minus(one, other, "early"), minus(one, other, "final")
+
+
+@block("learning.searched_long")
+def _searched_long() -> str:
+    """Returns agents with their searched settings in Table 1's setting, next to others."""
+    names = ["searched/table1_dqn_boltzmann", "searched/table1_bbqn"]
+    names += [f"table1/full/{agent}" for agent in ("dqn_boltzmann", "bbqn_map_soft", "bbqn_map")]
+    first = group(names[0])
+    rows = []
+    for name in names:
+        own = group(name)
+        booked = (estimate(own.booked(budget)) for budget in (EARLY, 5_000))
+        gap = NONE if name == names[0] else minus(own, first, "final")
+        label = own.agent + ", searched" * name.startswith("searched")
+        rows.append((label, *booked, estimate(own.final), gap))
+    head = (f"{first.first.rounds} rounds", f"booked after {EARLY:,}", "after 5,000", "final")
+    return table((*head, "minus the first"), rows, numbers=4)
+
+
+@block("gp.table1")
+def _gaussian_process() -> str:
+    """Returns the Gaussian process next to agents of Table 1, a table for each environment."""
+    budgets = (500, 2_000)
+    tables = []
+    for env, of in (("full domain", "full"), ("domain extension", "extension")):
+        rows = []
+        for name in ("gp", "bbqn_map_soft", "bbqn_map", "dqn_boltzmann", "dqn"):
+            own = group(f"table1/{of}/{name}")
+            booked = (estimate(own.booked(budget)) for budget in budgets)
+            rows.append((own.agent, *booked, estimate(own.final), f"{own.reward:.2f}"))
+        head = (env, *(f"booked after {budget:,}" for budget in budgets), "final", "reward")
+        tables.append(table(head, rows, numbers=4))
+    return "\n\n".join(tables)
+
+
+def unspiked() -> dict[tuple[str, str], list[dict[str, str]]]:
+    """Returns the seeds that learn without spiking, by domain and agent."""
+    seeds: dict[tuple[str, str], list[dict[str, str]]] = defaultdict(list)
+    for row in read_csv("unspiked.csv"):
+        seeds[row["domain"], row["agent"]].append(row)
+    return seeds
+
+
+@block("results.unspiked")
+def _unspiked() -> str:
+    """Returns a table for each domain of agents that learn without spiking, the best first."""
+    tables: dict[str, list[tuple[float, tuple[object, ...]]]] = defaultdict(list)
+    for (domain, agent), rows in unspiked().items():
+        booked, final = (
+            estimate([float(row[column]) for row in rows]) for column in ("booked", "final")
+        )
+        times = tuple(float(row["to_0.3"] or "inf") for row in rows)
+        reached = Reach(times, int(rows[0]["dialogues"]))
+        tables[domain].append((booked.value, (code(agent), reached, booked, final)))
+    return "\n\n".join(
+        table(
+            (f"domain {code(domain)}", "dialogues to .3", "booked in all", "final success"),
+            [cells for _, cells in sorted(lines, key=lambda line: -line[0])],
+            numbers=3,
+        )
+        for domain, lines in tables.items()
+    )
