@@ -84,7 +84,8 @@ def run_search(
     refuse_links(search.folder)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", optuna.exceptions.ExperimentalWarning)
-        study, storage = _open_study(search)
+        with FileLock(search.folder / ".search.lock"):  # a new database is made by one process
+            study, storage = _open_study(search)
         try:
             _run_trials(search, study, train, check)
             return best_trial(search, study)
@@ -118,7 +119,7 @@ def _run_trials(
     while True:
         while _to_start(search, study) > 0:
             study.optimize(objective, n_trials=1, catch=(_TrialFailed,))
-            with FileLock(search.folder / ".tables.lock"):
+            with FileLock(search.folder / ".search.lock"):
                 write_tables(search, study)
         if not study.get_trials(deepcopy=False, states=(TrialState.RUNNING,)):
             break
