@@ -11,15 +11,19 @@ if __name__ == "__main__":  # before anything that takes time to import
 
     interruption.listen()
 
+import json
 import logging
+import math
 import re
 import shlex
 import sys
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.options.registry import EXPERIMENT, load_folder, options
-from bbq_torchrl.runs.compose import key_of
+from bbq_torchrl.runs.compose import compose, key_of, train_command
+from bbq_torchrl.runs.folders import is_finished, restarted_config, run_lock
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.output import between, page
@@ -27,9 +31,9 @@ from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:
     from argparse import Namespace
-    from collections.abc import Sequence
+    from collections.abc import Mapping, Sequence
 
-    from bbq_torchrl.runs.bench import Cell
+    from bbq_torchrl.options import Config
 
 _LOG = logging.getLogger(__name__)
 
@@ -38,11 +42,45 @@ ERRORS = ("0", "reference", "0.2")
 BUDGETS = (500, 1_000, 2_000, 7_500)
 SEEDS = 10
 
+PLAYS = 20
+"""Mean number of plays of a goal for pass^k: fewer than 8 are rare."""
+
+_PLAYED = "plays.json"
+
 _SET = (
-    *("seed", "replicas", "resume", "domain", "env.slot_error_prob"),
+    *("seed", "replicas", "resume", "domain", "hydra", "env.slot_error_prob"),
     *("protocol.rounds", "protocol.eval_every"),
 )
 """Keys that the bench sets."""
+
+
+@dataclass(frozen=True)
+class Cell:
+    """An agent in a setting.
+
+    Attributes:
+        agent: the agent's name.
+        setting: domain and error level.
+        folder: the run folder.
+        overrides: those of ``bbq train``.
+        config: their configuration.
+    """
+
+    agent: str
+    setting: tuple[str, str]
+    folder: Path
+    overrides: tuple[str, ...]
+    config: Config
+
+    @property
+    def name(self) -> str:
+        """Such as ``dqn on movie, errors 0``."""
+        return f"{self.agent} on {self.setting[0]}, errors {self.setting[1]}"
+
+    @property
+    def is_played(self) -> bool:
+        """True if the cell is trained, and its goals were played."""
+        return (self.folder / _PLAYED).is_file()
 
 
 @output.refusing
@@ -56,17 +94,22 @@ def main(arguments: Sequence[str] | None = None) -> int:
     agents, domains = _agents(given.agents), _domains(given.domains)
     _refuse_set(given.set)
     given.budgets = sorted(set(given.budgets))
-    from bbq_torchrl.runs import bench  # torch and torchrl take ten seconds
-
-    keys = ("folder", "errors", "budgets", "seeds", "seed")
-    shared = {key: getattr(given, key) for key in keys}
     cells = [
         cell
         for agent, overrides in agents.items()
-        for cell in bench.cells_of(agent, [*given.set, *overrides], domains=domains, **shared)
+        for cell in cells_of(
+            agent,
+            [*given.set, *overrides],
+            folder=given.folder,
+            domains=domains,
+            errors=given.errors,
+            budgets=given.budgets,
+            seeds=given.seeds,
+            seed=given.seed,
+        )
     ]
     for cell in cells:
-        bench.refuse_invalid(cell, to_train=not given.page)
+        _refuse_invalid(cell, to_train=not given.page)
     given.folder.mkdir(parents=True, exist_ok=True)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
     reasons = {}
@@ -74,7 +117,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for number, cell in enumerate([] if given.page else cells, 1):
             interruption.check()
             _LOG.info("cell %d of %d: %s", number, len(cells), cell.name)
-            reasons[cell.name] = bench.play(cell)
+            reasons[cell.name] = play(cell)
     except interruption.Interrupted:
         output.print_error(interruption.line())
         return interruption.exit_code()
@@ -172,7 +215,7 @@ def _agents(given: Sequence[str]) -> dict[str, list[str]]:
 
 def _refuse_set(overrides: Sequence[str]) -> None:
     for item in overrides:
-        if key_of(item) in _SET or key_of(item).startswith(("domain.", "hydra")):
+        if {key_of(item), key_of(item).partition(".")[0]} & set(_SET):
             raise ConfigError(
                 f"{sentence(item)} cannot be given to a bench, which sets {', '.join(_SET)} itself"
             )
@@ -192,17 +235,124 @@ def _domains(given: Sequence[str]) -> dict[str, list[str]]:
     return domains
 
 
+def cells_of(
+    agent: str,
+    overrides: Sequence[str],
+    *,
+    folder: Path,
+    domains: Mapping[str, Sequence[str]],
+    errors: Sequence[str],
+    budgets: Sequence[int],
+    seeds: int,
+    seed: int,
+) -> list[Cell]:
+    """Returns the cells of an agent: a run folder for each domain and error level.
+
+    Args:
+        agent: the agent's name.
+        overrides: those of ``bbq train`` that make the agent.
+        folder: the folder of the bench.
+        domains: name -> overrides.
+        errors: slot error probabilities, or ``reference``.
+        budgets: numbers of training dialogues, in order.
+        seeds: number of seeds.
+        seed: the run's seed.
+
+    Raises:
+        ConfigError: a budget is not whole rounds, or a configuration is refused.
+    """
+    dialogues = compose(overrides).protocol.dialogues
+    if uneven := [budget for budget in budgets if budget % dialogues]:
+        raise ConfigError(
+            f"--budgets must be multiples of a round's {dialogues} dialogues "
+            f"(protocol.dialogues), got {', '.join(map(str, uneven))}"
+        )
+    shared = [
+        *overrides,
+        f"seed={seed}",
+        f"replicas={seeds}",
+        f"protocol.rounds={budgets[-1] // dialogues}",
+        f"protocol.eval_every={math.gcd(*budgets) // dialogues}",
+    ]
+    cells = []
+    for domain, own in domains.items():
+        for level in dict.fromkeys(errors):
+            chance = "null" if level == "reference" else level
+            whole = (*shared, *own, f"env.slot_error_prob={chance}")
+            place = folder / domain / f"errors_{level}" / agent
+            cells.append(Cell(agent, (domain, level), place, whole, compose(whole)))
+    return cells
+
+
+def _refuse_invalid(cell: Cell, *, to_train: bool) -> None:
+    """Checks the run in a cell's folder and, as ``bbq train`` does, what is to be trained."""
+    from bbq_torchrl.runs.build import check_resources
+
+    try:
+        restarted_config(cell.config, cell.folder, way="choose another folder for this bench")
+        if to_train:
+            check_resources(cell.config)
+    except (ValueError, OSError) as error:
+        raise ConfigError(f"{cell.name}: {sentence(error)}") from error
+
+
+def play(cell: Cell) -> str:
+    """Trains a cell and plays its goals again and again. Returns why it could not; else empty."""
+    from bbq_torchrl.evaluation.run_result import write_json
+    from bbq_torchrl.runs.train import run
+    from bbq_torchrl.trainers import TrainingError
+
+    try:
+        with run_lock(cell.folder):
+            config = restarted_config(cell.config, cell.folder)
+            if not is_finished(cell.folder, config.protocol.rounds):
+                run(config, cell.folder)
+            if not cell.is_played:
+                write_json(goal_plays(cell), cell.folder / _PLAYED)
+    except (TrainingError, ConfigError) as error:  # also another process at work in the folder
+        return sentence(error)
+    return ""
+
+
+def goal_plays(cell: Cell) -> dict[str, Any]:
+    """Plays a trained cell's goals. Returns plays and successes, [replicas, goals] each."""
+    import torch
+
+    from bbq_torchrl.evaluation.rollouts import evaluation_rollouts
+    from bbq_torchrl.runs.loading import load_run
+    from bbq_torchrl.trainers import derive_seed, episode_stats
+
+    config = cell.config
+    goals = len(config.domain.make().goals)
+    dialogues = PLAYS * goals
+    parallel = config.protocol.parallel_dialogues(dialogues, config.replicas)
+    env, policy, *_ = load_run(cell.folder, dialogues=parallel, device=config.device)
+    plays, wins = torch.zeros(2, config.replicas, goals, dtype=torch.int64, device=config.device)
+    seed = derive_seed(config.seed, "pass^k")
+    for batch in evaluation_rollouts(
+        env, policy, dialogues, seed=seed, max_steps=config.env.steps()
+    ):
+        goal, success = batch["goal_id"][..., 0, 0], episode_stats(batch).success.long()
+        plays.scatter_add_(-1, goal, torch.ones_like(goal))
+        wins.scatter_add_(-1, goal, success)
+    return {"plays": plays.tolist(), "successes": wins.tolist()}
+
+
 def _write(given: Namespace, command: str, cells: Sequence[Cell], missing: list[str]) -> str:
     """Writes the page, its figures, bench.csv and bench.json. Returns the page."""
-    from bbq_torchrl.evaluation.bench import bench_report, rows_of, setting_name
+    from bbq_torchrl.evaluation.bench_report import bench_report, rows_of, setting_name
     from bbq_torchrl.evaluation.run_result import read_result, write_json
 
     rows, scripts, about = [], {}, []
     for cell in cells:
-        entry: dict[str, Any] = {"cell": cell.name, "command": cell.command}
+        entry: dict[str, Any] = {
+            "cell": cell.name,
+            "command": shlex.join([*train_command(), *cell.overrides]),
+        }
         if cell.is_played:
+            played = json.loads((cell.folder / _PLAYED).read_text(encoding="utf-8"))
             name = cell.agent, cell.setting, cell.folder, given.budgets
-            rows += rows_of(*name, *cell.played())
+            rows += rows_of(*name, played["plays"], played["successes"])
             result = read_result(cell.folder)
             entry |= {"commit": result.commit, "clean": result.clean, "versions": result.versions}
             scripts[setting_name(cell.setting)] = result.scripted | result.references

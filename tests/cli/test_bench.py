@@ -6,7 +6,6 @@ import csv
 import json
 import math
 import os
-import shutil
 import signal
 import time
 
@@ -17,7 +16,6 @@ from tiny import TINY
 
 from bbq_torchrl.cli import bench
 from bbq_torchrl.cli.evaluate import composed, evaluation
-from bbq_torchrl.runs import bench as cells
 from bbq_torchrl.utils.statistics import binomial_standard_error, pass_k
 
 OWN = "own: agent=dqn explore=boltzmann"
@@ -88,13 +86,6 @@ def test_every_cell_has_a_command_a_commit_and_versions(made):
         assert {"commit", "clean"} <= cell.keys()
 
 
-def test_a_cell_run_again_gives_the_same_bytes(made, tmp_path):
-    shutil.copytree(made[0] / "made", tmp_path / "made")
-    shutil.rmtree(tmp_path / "made" / "hotel" / "errors_0.1" / "own")
-    run(tmp_path, "dqn", OWN)
-    assert content(tmp_path) == content(made[0])
-
-
 def test_a_killed_bench_continues(made, tmp_path):
     with (tmp_path / "out").open("w") as out:
         child = forked.start(
@@ -126,7 +117,7 @@ def test_a_page_alone_trains_nothing(tmp_path):
 
 def test_goals_are_played_as_often_as_an_evaluation_plays_them(monkeypatch, tmp_path):
     # A scripted policy takes the place of a trained one; another command measures its success.
-    (cell,) = cells.cells_of(
+    (cell,) = bench.cells_of(
         "dqn",
         ["agent=dqn"],
         folder=tmp_path,
@@ -142,10 +133,10 @@ def test_goals_are_played_as_often_as_an_evaluation_plays_them(monkeypatch, tmp_
         made = env.make(domain, (2, dialogues), device=device)
         return made, env.make_policy("careful", made)
 
-    monkeypatch.setattr(cells, "load_run", loaded)
-    played = {key: np.array(value) for key, value in cells.goal_plays(cell).items()}
+    monkeypatch.setattr("bbq_torchrl.runs.loading.load_run", loaded)
+    played = {key: np.array(value) for key, value in bench.goal_plays(cell).items()}
     assert played["plays"].shape == (2, len(domain.goals))
-    assert (played["plays"].sum(-1) == cells.PLAYS * len(domain.goals)).all()
+    assert (played["plays"].sum(-1) == bench.PLAYS * len(domain.goals)).all()
     known = evaluation(composed(["policy=careful", "domain=hotel"]))
     found = pass_k(played["successes"].sum(0), played["plays"].sum(0), 1)
     error = binomial_standard_error(known["success_rate"], int(played["plays"].sum()))

@@ -7,7 +7,7 @@ from itertools import product
 
 import numpy as np
 
-from bbq_torchrl.evaluation.bench import bench_report
+from bbq_torchrl.evaluation.bench_report import bench_report
 
 SETTINGS = [("movie", "0"), ("hotel", "0"), ("hotel", "0.2")]
 RATES = {
