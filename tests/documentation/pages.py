@@ -16,13 +16,13 @@ def snippets(page: Path, language: str) -> list[str]:
     return fence.findall(page.read_text(encoding="utf-8"))
 
 
-def commands(program: str) -> list[tuple[str, list[str]]]:
-    """Returns (page, arguments) of every documented command line of a program."""
-    found = []
+def commands(program: str) -> list[list[str]]:
+    """Returns the arguments of every documented command line of a program, each once."""
+    found = {}
     for page in PAGES:
         for text in snippets(page, "bash"):
             for line in text.replace("\\\n", " ").splitlines():
                 _, is_there, arguments = line.partition(program)
                 if is_there and not line.startswith("#"):
-                    found.append((page.name, shlex.split(arguments, comments=True)))
-    return found
+                    found[tuple(shlex.split(arguments, comments=True))] = None
+    return [list(arguments) for arguments in found]
