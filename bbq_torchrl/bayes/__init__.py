@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bbq_torchrl.bayes.bayes_gru import BayesGRU
 from bbq_torchrl.bayes.bayes_mlp import BayesLinear, BayesMLP
 from bbq_torchrl.bayes.layers import BayesConv2d, BayesLayer
 from bbq_torchrl.bayes.posterior import GaussianPosterior, kl_divergence
@@ -10,7 +9,6 @@ from bbq_torchrl.bayes.scope import KLSum, weight_scope
 
 __all__ = [
     "BayesConv2d",
-    "BayesGRU",
     "BayesLayer",
     "BayesLinear",
     "BayesMLP",

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from bbq_torchrl.data.bonus_reward import CountReward
 from bbq_torchrl.data.bootstrap_mask import BootstrapMask
 from bbq_torchrl.data.replay import TRANSITION_KEYS, ReplicaReplay
 from bbq_torchrl.data.rows import Batch, validate_transitions
@@ -12,7 +11,6 @@ __all__ = [
     "TRANSITION_KEYS",
     "Batch",
     "BootstrapMask",
-    "CountReward",
     "ProtectedRoundRobinWriter",
     "ReplicaReplay",
     "validate_transitions",

@@ -107,10 +107,6 @@ class EnvOption(Option):
         """Returns the features and the actions that become active later (bool), or None."""
         return None
 
-    def counted(self, env: EnvBase) -> Tensor | None:
-        """Returns the features that distinguish states in visit counts (bool); None: all."""
-        return None
-
     def inactive_slots(self, domain: Domain | None) -> set[str]:
         """Returns the slots that no round activates."""
         return set()
@@ -283,19 +279,6 @@ class FullDomain(EnvOption):
             channel=self._channel(domain),
             users=self.users,
         )
-
-    def counted(self, env: EnvBase) -> Tensor:
-        """The filled slots, the open requests, and whether the last act was an offer."""
-        import torch
-
-        from bbq_torchrl.envs import DialogueEnv
-
-        assert isinstance(env, DialogueEnv)
-        features = torch.zeros(env.layout.size, dtype=torch.bool)
-        for group in ("filled", "user_requested"):
-            features[env.layout[group]] = True
-        features[env.layout["agent_informed"]][env.simulator.domain.complete] = True
-        return features
 
 
 @register

@@ -56,25 +56,6 @@ class NoIntrinsic(IntrinsicOption):
 
 @register
 @dataclass
-class Count(IntrinsicOption):
-    """A bonus of eta / sqrt(n) for a kind of state stored n times."""
-
-    name: str = option("count")
-    eta: Values = setting(
-        1.0, per_replica(NON_NEGATIVE), "bonus of a kind of state seen once, in units of reward"
-    )
-
-    def make(self, loss: LossModule, task: Task) -> tuple[nn.Module, list[Transform]]:
-        """Adds the transform that counts states and adds the bonus."""
-        from bbq_torchrl.data import CountReward
-
-        features = task.inputs if task.counted_inputs is None else task.counted_inputs
-        eta = over_replicas(self.eta, task)
-        return loss, [CountReward(features, eta=eta, replicas=(task.replicas,))]
-
-
-@register
-@dataclass
 class VIME(IntrinsicOption):
     """VIME: a reward for a transition's information gain about a Bayesian dynamics model."""
 

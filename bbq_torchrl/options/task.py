@@ -33,7 +33,6 @@ class Task:
         action_mask_key: key of the mask of legal actions; None: all actions are always legal.
         inactive_inputs: bool [inputs], features that become active later; None: all are active.
         inactive_actions: bool [actions], actions that become active later; None: all are active.
-        counted_inputs: bool [inputs], features that distinguish states in visit counts; None: all.
     """
 
     inputs: int
@@ -44,7 +43,6 @@ class Task:
     action_mask_key: str | None = "action_mask"
     inactive_inputs: Tensor | None = None
     inactive_actions: Tensor | None = None
-    counted_inputs: Tensor | None = None
 
     @property
     def actions(self) -> int:

@@ -100,7 +100,6 @@ def task_of(config: Config, env: EnvBase) -> Task:
         action_mask_key=action_mask_key(env),
         inactive_inputs=inputs,
         inactive_actions=actions,
-        counted_inputs=config.env.counted(env),
     )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 from tensordict import TensorDict, TensorDictBase
@@ -17,8 +17,6 @@ from bbq_torchrl.objectives.rows import NumData, weights_of_rows
 from bbq_torchrl.settings import AT_LEAST_ZERO, COUNT, check
 
 if TYPE_CHECKING:
-    from collections.abc import MutableMapping
-
     from tensordict.utils import NestedKey
     from torch import Tensor
 
@@ -209,19 +207,5 @@ class DynamicsLoss(NumData, LossModule):
 
 
 def vime_losses(q_loss: nn.Module, dynamics_loss: DynamicsLoss) -> nn.ModuleDict:
-    """Returns a Q-learning loss and the dynamics' loss, to be trained together.
-
-    States of 0.1's ``VIMELoss`` can be loaded too.
-    """
-    losses = nn.ModuleDict({"q_loss": q_loss, "dynamics_loss": dynamics_loss})
-    losses.register_load_state_dict_pre_hook(_read_old_state)
-    return losses
-
-
-def _read_old_state(
-    losses: nn.Module, state: MutableMapping[str, Any], prefix: str, *_: Any
-) -> None:
-    """Renames the entries of ``VIMELoss`` outside its two losses."""
-    for old, new in (("held", "reported"), ("_extra_state", "_extra_state")):
-        if f"{prefix}{old}" in state:
-            state[f"{prefix}dynamics_loss.{new}"] = state.pop(f"{prefix}{old}")
+    """Returns a Q-learning loss and the dynamics' loss, to be trained together."""
+    return nn.ModuleDict({"q_loss": q_loss, "dynamics_loss": dynamics_loss})

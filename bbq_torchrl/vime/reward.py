@@ -9,9 +9,10 @@ import torch
 import torch.nn.functional as F
 from tensordict.utils import unravel_key
 from torch import Tensor
+from torchrl.envs import Transform
 
-from bbq_torchrl.data.bonus_reward import BonusReward
-from bbq_torchrl.settings import ABOVE_ZERO, at_least, check, one_of
+from bbq_torchrl.bayes.replicas import checked_number
+from bbq_torchrl.settings import ABOVE_ZERO, AT_LEAST_ZERO, at_least, check, one_of
 from bbq_torchrl.utils.seeds import checked_seed
 from bbq_torchrl.vime.information_gain import RunningMedian, information_gain
 
@@ -28,7 +29,7 @@ GainWeights = Literal["map", "mc"]
 _PIECE = 256  # rows processed at once, so that a row does not depend on the number of others
 
 
-class VIMEReward(BonusReward):
+class VIMEReward(Transform):
     r"""Adds the information gain of a dynamics model to each stored transition as a bonus.
 
     This is a transform of a replay buffer, not of an environment:
@@ -82,7 +83,7 @@ class VIMEReward(BonusReward):
         median: m, a :class:`~bbq_torchrl.vime.information_gain.RunningMedian`, with its buffers.
 
     Raises:
-        ValueError: for an invalid argument, or as part of an environment.
+        ValueError: for an invalid argument.
 
     Examples:
         >>> import torch
@@ -103,6 +104,9 @@ class VIMEReward(BonusReward):
         ... )
         True
     """
+
+    eta: float | Tensor
+    _bonus_totals: Tensor
 
     def __init__(
         self,
@@ -125,16 +129,24 @@ class VIMEReward(BonusReward):
         for name, value in (("step_size", step_size), ("clip", clip)):
             check(name, value, ABOVE_ZERO)
         check("median_window", median_window, at_least(1))
-        state = (observation_key, action_key, unravel_key(("next", observation_key)))
+        eta = checked_number("eta", eta, dynamics.replicas, AT_LEAST_ZERO)
+        after_keys = (observation_key, terminated_key, reward_key, intrinsic_reward_key)
+        after, terminated, reward, bonus = (unravel_key(("next", key)) for key in after_keys)
         super().__init__(
-            intrinsic_reward_key,
-            eta=eta,
-            replicas=dynamics.replicas,
-            reward_key=reward_key,
-            valid_key=valid_key,
-            in_keys_inv=[*state, unravel_key(("next", terminated_key))],
-            device=dynamics.mean.device,
+            in_keys=[reward, bonus],
+            out_keys=[reward],
+            in_keys_inv=[observation_key, action_key, after, terminated],
+            out_keys_inv=[bonus],
         )
+        self.replicas = dynamics.replicas
+        self.valid_key = valid_key
+        if isinstance(eta, Tensor):
+            self.register_buffer("eta", eta, persistent=False)
+        else:
+            self.eta = eta
+        # sum and number of the bonuses since the last report; not worth a checkpoint
+        totals = dynamics.mean.new_zeros((2, *self.replicas), dtype=torch.float64)
+        self.register_buffer("_bonus_totals", totals, persistent=False)
         self.dynamics = dynamics
         self.weights = weights
         self.step_size = step_size
@@ -155,7 +167,7 @@ class VIMEReward(BonusReward):
         Raises:
             ValueError: for a wrong number of seeds.
         """
-        count = prod(self.dynamics.replicas)
+        count = prod(self.replicas)
         if len(seeds) != count:
             raise ValueError(f"seeds must be {count}, one for each replica, got {len(seeds)}")
         device = self.dynamics.mean.device
@@ -163,19 +175,56 @@ class VIMEReward(BonusReward):
             torch.Generator(device).manual_seed(checked_seed(seed)) for seed in seeds
         ]
 
+    def pop_metrics(self) -> dict[str, Tensor]:
+        """Returns the mean bonus of transitions stored since the last call, and resets it.
+
+        The trainer's metric "intrinsic_reward" [*replicas]: the mean over valid transitions without
+        eta; NaN if nothing was stored.
+        """
+        total, count = self._bonus_totals.unbind(0)
+        mean = total / count
+        self._bonus_totals.zero_()
+        return {"intrinsic_reward": mean}
+
+    # -- reading ----------------------------------------------------------------------------
+
+    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
+        """Returns a shallow copy whose reward is task reward + eta · bonus; the input stays."""
+        reward_key, bonus_key = self.in_keys
+        reward, eta = tensordict.get(reward_key), self.eta
+        bonus = tensordict[bonus_key].to(reward).reshape(reward.shape)
+        out = tensordict.clone(recurse=False)
+        if not isinstance(eta, Tensor):
+            return out.set(reward_key, torch.add(reward, bonus, alpha=eta))
+        eta = eta.to(reward).reshape(eta.shape + (1,) * (reward.ndim - eta.ndim))
+        return out.set(reward_key, torch.addcmul(reward, bonus, eta))
+
     # -- storing ----------------------------------------------------------------------------
 
     @torch.no_grad()
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Returns the transitions with their bonus; ``inv`` passes a shallow copy."""
+        """Returns the transitions with their bonus; ``inv`` passes a shallow copy.
+
+        Raises:
+            ValueError: the batch does not begin with the replicas.
+        """
         (bonus_key,) = self.out_keys_inv
         if tensordict.get(bonus_key, None) is not None:
             return tensordict
-        valid = self._valid_rows(tensordict)
         batch = tensordict.batch_size
+        if batch[: len(self.replicas)] != self.replicas:
+            raise ValueError(
+                f"the batch size must begin with the replicas {list(self.replicas)}, got "
+                f"{list(batch)}"
+            )
+        device = self.dynamics.mean.device
         observation, action, following, terminated = (
-            tensordict[key].to(self.dynamics.mean.device) for key in self.in_keys_inv
+            tensordict[key].to(device) for key in self.in_keys_inv
         )
+        valid = tensordict.get(self.valid_key, None)
+        if valid is None:
+            valid = torch.ones(batch, dtype=torch.bool)
+        valid = valid.bool().reshape(batch).to(device)
         is_continuing = ~terminated.bool().reshape(batch)
         rows = [
             observation,
@@ -185,7 +234,6 @@ class VIMEReward(BonusReward):
             (valid & is_continuing).unsqueeze(-1),
         ]
         rows = [entry.reshape(*self.replicas, -1, entry.shape[-1]) for entry in rows]
-        _refuse_infinite(*rows)
         bonus = self._bonus(*rows).reshape(*batch, 1)
         return tensordict.set(bonus_key, bonus.to(tensordict.device or observation.device))
 
@@ -201,16 +249,15 @@ class VIMEReward(BonusReward):
         count = observation.shape[-2]
         if count == 0:
             return self.dynamics.mean.new_zeros(observation.shape[:-1])
-        replicas = self.dynamics.replicas
         states = torch.cat([observation, following], -1), torch.cat([valid, predicted], -1)
-        for state, states_valid in _pieces(replicas, *states):
+        for state, states_valid in _pieces(self.replicas, *states):
             before, after = state.chunk(2, -1)
             self.dynamics.update_statistics(before, states_valid[..., 0])
             self.dynamics.update_statistics(after, states_valid[..., 1])
         noise = self._noise() if self.weights == "mc" else None
         gains = [
             information_gain(self.dynamics, *piece, noise=noise, step_size=self.step_size)
-            for piece in _pieces(replicas, observation, action, following)
+            for piece in _pieces(self.replicas, observation, action, following)
         ]
         gain = torch.cat(gains, -1)[..., :count]
         is_predicted = predicted.squeeze(-1)
@@ -220,7 +267,8 @@ class VIMEReward(BonusReward):
             gain = gain / median.clamp_min(torch.finfo(gain.dtype).tiny)
         bonus = torch.where(is_predicted, gain.clamp_max(self.clip), 0)
         # cumsum adds from left to right, so the zeros of the padding at the end change no bit
-        self._add_to_totals(bonus.double().cumsum(-1)[..., -1], valid.squeeze(-1).sum(-1))
+        total = bonus.double().cumsum(-1)[..., -1]
+        self._bonus_totals += torch.stack([total, valid.squeeze(-1).sum(-1).double()])
         return bonus
 
     def _noise(self) -> Tensor:
@@ -232,19 +280,6 @@ class VIMEReward(BonusReward):
         for row, generator in zip(noise, self._generators, strict=True):
             row.normal_(generator=generator)
         return noise.reshape(mu.shape)
-
-
-def _refuse_infinite(
-    observation: Tensor, action: Tensor, following: Tensor, valid: Tensor, predicted: Tensor
-) -> None:
-    """Raises ValueError for a row that would spoil the running statistics for good."""
-    known = torch.cat([observation, action], -1).isfinite().all(-1, keepdim=True)
-    bad = (valid & ~known) | (predicted & ~following.isfinite().all(-1, keepdim=True))
-    if bool(bad.any()):
-        raise ValueError(
-            "states and actions must be finite in valid rows, but "
-            f"{int(bad.sum())} of {int(valid.sum())} rows are not"
-        )
 
 
 def _pieces(replicas: Sequence[int], *entries: Tensor) -> Iterator[list[Tensor]]:

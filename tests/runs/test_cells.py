@@ -36,7 +36,7 @@ CELLS |= {
     "GP on a trunk": ("env=domain_ext", "agent=gp", "agent.features=trunk", "intrinsic=vime"),
     "GP with drawn targets": (
         *("env=domain_ext", "agent=gp", "agent.inducing=8", "agent.target=draw"),
-        *("agent.kernel=rbf", "intrinsic=count", "explore.per=episode"),
+        *("agent.kernel=rbf", "explore.per=episode"),
     ),
     "BBQN-MC": ("env=domain_ext", "agent.target=mc"),
     "shared target noise": ("env=domain_ext", "agent.target=mc", "agent.target_noise=shared"),
