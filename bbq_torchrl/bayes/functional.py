@@ -57,9 +57,6 @@ class FlatLayout:
         layer_sizes: number of weights and biases in each layer.
         numel: P, the length of the flat vector.
 
-    Raises:
-        ValueError: if there are fewer than two sizes or one is not positive.
-
     Examples:
         >>> layout = FlatLayout((3, 4, 2))
         >>> layout.numel, layout.layer_sizes
@@ -68,8 +65,6 @@ class FlatLayout:
 
     def __init__(self, sizes: Sequence[int]) -> None:
         self.sizes = tuple(sizes)
-        if len(self.sizes) < 2 or any(n < 1 for n in self.sizes):
-            raise ValueError(f"sizes must be at least two positive integers, got {self.sizes}")
         self.shapes = tuple(zip(self.sizes[:-1], self.sizes[1:], strict=True))
         self.layer_sizes = tuple((i + 1) * o for i, o in self.shapes)
         self.numel = sum(self.layer_sizes)

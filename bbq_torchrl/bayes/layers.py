@@ -99,10 +99,8 @@ class BayesLayer(nn.Module):
     ) -> None:
         super().__init__()
         check("mean_init", mean_init, one_of(*get_args(MeanInit)))
-        if (isinstance(prior_std, str) and prior_std != "fan_in") or (
-            isinstance(prior_std, (int, float)) and not prior_std > 0
-        ):
-            raise ValueError(f"prior_std must be positive or 'fan_in', got {prior_std!r}")
+        if isinstance(prior_std, str):
+            check("prior_std", prior_std, one_of("fan_in"))
         self.fan_in = tuple(fan_in)
         self.mean_init = mean_init
         self.std_init = std_init
@@ -254,18 +252,11 @@ class BayesConv2d(BayesLayer):
         **settings: Unpack[LayerSettings],
     ) -> None:
         if isinstance(kernel_size, SupportsIndex):
-            kernel: tuple[int, ...] = (index(kernel_size), index(kernel_size))
-        else:
-            kernel = tuple(kernel_size)
-        if min(in_channels, out_channels, *kernel) < 1:
-            raise ValueError(
-                "in_channels, out_channels and kernel_size must be positive, got "
-                f"{in_channels}, {out_channels} and {kernel_size}"
-            )
+            kernel_size = (index(kernel_size), index(kernel_size))
         self.in_channels, self.out_channels = in_channels, out_channels
-        self.kernel_size = kernel
+        self.kernel_size = kernel_size
         self.stride, self.padding = stride, padding
-        inputs = in_channels * prod(kernel)
+        inputs = in_channels * prod(kernel_size)
         super().__init__([(inputs + 1) * out_channels], [inputs], **settings)
 
     def run(self, x: Tensor, weights: Tensor) -> Tensor:

@@ -16,8 +16,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from bbq_torchrl.settings import at_least, check
-
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
@@ -145,10 +143,7 @@ class NoisePool:
     draws on devices other than the CPU, where noise costs little.
 
     Args:
-        draws: the size of a pool, in draws. Defaults to 8.
-
-    Raises:
-        ValueError: if ``draws`` is less than 2.
+        draws: the size of a pool, in draws, at least 2. Defaults to 8.
 
     Examples:
         >>> import torch
@@ -161,7 +156,6 @@ class NoisePool:
     """
 
     def __init__(self, draws: int = _DRAWS) -> None:
-        check("draws", draws, at_least(2))
         self.draws = draws
         # the numbers, and offsets of the next windows
         self._pools: dict[NoisyPosterior, tuple[Tensor, list[int]]] = {}

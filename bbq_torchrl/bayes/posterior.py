@@ -247,11 +247,9 @@ class GaussianPosterior(nn.Module):
             noise: the source of the noise. Defaults to None: torch's generator.
 
         Raises:
-            ValueError: for an unknown kind, or a known KL with kind="sampled".
+            ValueError: for an unknown kind.
         """
         check("kl", kind, KL_KIND)
-        if known_kl is not None and kind != "closed":
-            raise ValueError(f"known_kl needs kl='closed', got {kind!r}")
         fill_noise_ = None
         if noise is not None:
             drawn = noise.normal(self, self.mu.shape)

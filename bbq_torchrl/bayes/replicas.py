@@ -21,17 +21,11 @@ if TYPE_CHECKING:
 def replica_shape(replicas: SupportsIndex | Sequence[int]) -> torch.Size:
     """Returns the leading shape of weights and data for a number or shape of replicas.
 
-    Raises:
-        ValueError: if a number is not positive.
-
     Examples:
         >>> replica_shape(5), replica_shape((2, 3)), replica_shape(())
         (torch.Size([5]), torch.Size([2, 3]), torch.Size([]))
     """
-    shape = (index(replicas),) if isinstance(replicas, SupportsIndex) else tuple(replicas)
-    if any(size < 1 for size in shape):
-        raise ValueError(f"replicas must be positive, got {replicas}")
-    return torch.Size(shape)
+    return torch.Size([index(replicas)] if isinstance(replicas, SupportsIndex) else replicas)
 
 
 def replicas_of(network: nn.Module) -> torch.Size:
@@ -40,7 +34,7 @@ def replicas_of(network: nn.Module) -> torch.Size:
     A layer's replica shape is its attribute ``replicas``, a shape or a number.
 
     Raises:
-        ValueError: if layers differ, or an attribute is neither.
+        ValueError: if layers differ.
 
     Examples:
         >>> network = torch.nn.Identity()
@@ -53,12 +47,7 @@ def replicas_of(network: nn.Module) -> torch.Size:
         found = getattr(module, "replicas", None)
         if found is None or callable(found):  # a module or method of that name is unrelated
             continue
-        sizes = found if isinstance(found, (tuple, list)) else (found,)
-        if not all(isinstance(size, int) for size in sizes):
-            raise ValueError(
-                f"a network's replicas must be an integer or a tuple of integers, got {found!r}"
-            )
-        shapes.add(replica_shape(sizes))
+        shapes.add(replica_shape(found))
     if len(shapes) > 1:
         raise ValueError(f"the network's layers must share one replica shape, got {shapes}")
     return shapes.pop() if shapes else torch.Size(())

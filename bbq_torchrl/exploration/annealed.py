@@ -8,7 +8,7 @@ import torch
 from tensordict.nn import TensorDictModuleBase
 from torchrl.modules import EGreedyModule
 
-from bbq_torchrl.exploration.base import check_batch, explores, schedule
+from bbq_torchrl.exploration.base import explores, schedule
 from bbq_torchrl.networks.q_actor import legal_actions
 
 if TYPE_CHECKING:
@@ -37,8 +37,7 @@ class BatchedEGreedy(EGreedyModule):
         device: device of the schedule.
 
     Raises:
-        ValueError: unless 1 ≥ eps_init ≥ eps_end ≥ 0 and the schedule has a step; when called,
-            for a batch that the epsilons do not broadcast with.
+        ValueError: unless 1 ≥ eps_init ≥ eps_end ≥ 0 and the schedule has a step.
 
     Examples:
         >>> import torch
@@ -80,11 +79,6 @@ class BatchedEGreedy(EGreedyModule):
         self.eps_init = start.to(device)
         self.eps_end = end.to(device)
         self.eps = start.to(device, copy=True)
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes the action [*batch], random where it explores."""
-        check_batch("eps", self.eps, tensordict.batch_size)
-        return super().forward(tensordict)
 
 
 class UniformUntilSuccess(BatchedEGreedy):
@@ -157,8 +151,7 @@ class Boltzmann(TensorDictModuleBase):
         device: device of the schedule.
 
     Raises:
-        ValueError: unless temperature_init ≥ temperature_end > 0 and the schedule has a step; when
-            called, for a batch that the temperatures do not broadcast with.
+        ValueError: unless temperature_init ≥ temperature_end > 0 and the schedule has a step.
 
     Examples:
         >>> import torch
@@ -217,9 +210,8 @@ class Boltzmann(TensorDictModuleBase):
         """Writes the drawn action in the form of the greedy one."""
         if not explores():
             return tensordict
-        check_batch("temperature", self.temperature, tensordict.batch_size)
         # values have one more dimension than the batch
-        temperature = self.temperature.unsqueeze(-1)
+        temperature = self.temperature.expand(tensordict.batch_size).unsqueeze(-1)
         logits = tensordict.get(self.action_value_key).detach() / temperature
         # argmax(logit - log E), E ~ Exp(1), is a draw from the softmax (the Gumbel trick)
         logits = logits - torch.empty_like(logits).exponential_().log_()

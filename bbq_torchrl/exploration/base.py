@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
     from tensordict import TensorDictBase
     from tensordict.utils import NestedKey
-    from torch import Tensor, nn
+    from torch import Tensor
     from torchrl.data import Composite
     from torchrl.modules import QValueActor
     from typing_extensions import Self
@@ -46,16 +46,6 @@ def schedule(
     pair = [torch.as_tensor(value, dtype=torch.float32) for value in (start, end)]
     first, last = (value.clone() for value in torch.broadcast_tensors(*pair))
     return first, last
-
-
-def check_batch(name: str, values: Tensor, batch: torch.Size) -> None:
-    """Raises ValueError unless the values broadcast to the batch shape."""
-    try:
-        values.expand(batch)
-    except RuntimeError:
-        raise ValueError(
-            f"{name} of shape {list(values.shape)} must broadcast with the batch, got {list(batch)}"
-        ) from None
 
 
 def fit_posteriors(drawn: Mapping[GaussianPosterior, Tensor]) -> bool:
@@ -90,16 +80,6 @@ def posterior_sums(found: Iterable[GaussianPosterior]) -> list[float]:
 def forget_draws(policy: Resampled, _: object = None) -> None:
     """Renews a policy's draws after its state was loaded; a ``load_state_dict`` hook."""
     policy.resample()
-
-
-def rename_older_keys(
-    policy: nn.Module, state_dict: dict[str, Any], prefix: str, *_: object
-) -> None:
-    """Removes the prefix ``actor`` from entries of older states; a ``load_state_dict`` hook."""
-    older = f"{prefix}actor."
-    if "actor" not in policy._modules:
-        for key in [key for key in state_dict if key.startswith(older)]:
-            state_dict[prefix + key.removeprefix(older)] = state_dict.pop(key)
 
 
 class ActorPolicy(TensorDictModuleBase):
@@ -140,7 +120,6 @@ class ActorPolicy(TensorDictModuleBase):
         for own in ("_parameters", "_buffers"):
             if vars(actor)[own]:  # the actor itself is a layer
                 self.__dict__[own] = vars(actor)[own]
-        self.register_load_state_dict_pre_hook(rename_older_keys)
         self.per = per
         self.init_key = init_key
         self.in_keys = [*actor.in_keys, init_key] if per == "episode" else actor.in_keys

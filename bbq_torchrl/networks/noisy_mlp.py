@@ -40,7 +40,7 @@ class ReplicaNoisyLinear(NoisyLinear):
         dtype: of the parameters.
 
     Raises:
-        ValueError: if a size or std_init is not positive.
+        ValueError: if std_init is not positive.
 
     Examples:
         >>> import torch
@@ -63,11 +63,6 @@ class ReplicaNoisyLinear(NoisyLinear):
         device: torch.device | str | None = None,
         dtype: torch.dtype | None = None,
     ) -> None:
-        if min(in_features, out_features) < 1:
-            raise ValueError(
-                f"in_features and out_features must be positive, got {in_features} and "
-                f"{out_features}"
-            )
         check("std_init", std_init, ABOVE_ZERO)
         super().__init__(in_features, out_features, device=device, dtype=dtype, std_init=std_init)
         self.replicas = replica_shape(replicas)
@@ -146,7 +141,7 @@ class NoisyMLP(nn.Module):
         dtype: of the parameters.
 
     Raises:
-        ValueError: if a size or std_init is not positive.
+        ValueError: if std_init is not positive.
 
     Examples:
         >>> import torch

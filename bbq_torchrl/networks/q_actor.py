@@ -110,17 +110,9 @@ def masked(values: Tensor, mask: Tensor | None) -> Tensor:
     Args:
         values: the values of all actions, [*batch, N].
         mask: bool [*batch, N], True for legal actions; None if all are.
-
-    Raises:
-        ValueError: for a mask with a different number of actions.
     """
     if mask is None:
         return values
-    if mask.shape[-1] != values.shape[-1]:
-        raise ValueError(
-            f"the mask of legal actions must have {values.shape[-1]} entries, one for each action, "
-            f"got {mask.shape[-1]}"
-        )
     return torch.where(mask, values, torch.finfo(values.dtype).min)
 
 

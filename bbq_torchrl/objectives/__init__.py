@@ -2,7 +2,7 @@
 
 from bbq_torchrl.objectives.bbqn import BBQNLoss
 from bbq_torchrl.objectives.dqn import BootstrapDQNLoss, DropoutDQNLoss, NoisyDQNLoss
-from bbq_torchrl.objectives.gaussian_process import GPLoss
+from bbq_torchrl.objectives.gp_loss import GPLoss
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 
 __all__ = [

@@ -15,7 +15,7 @@ from bbq_torchrl.bayes.replicas import checked_number
 from bbq_torchrl.bayes.scope import KLSum
 from bbq_torchrl.bayes.weight_draw import KL_KIND, KLKind
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
-from bbq_torchrl.objectives.rows import NumData
+from bbq_torchrl.objectives.weighting import NumData
 from bbq_torchrl.settings import ABOVE_ZERO, AT_LEAST_ZERO, check, one_of
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from tensordict.nn import dispatch
 
 from bbq_torchrl.networks.noisy_mlp import noisy_layers
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
-from bbq_torchrl.objectives.rows import row_weights
 from bbq_torchrl.objectives.td_loss import td_loss
+from bbq_torchrl.objectives.weighting import normalized_weights
 
 if TYPE_CHECKING:
     from tensordict.utils import NestedKey
@@ -135,7 +135,7 @@ class BootstrapDQNLoss(OneStepQLoss):
         loss_function: "l2", "l1" or "smooth_l1". Defaults to "l2".
 
     Raises:
-        ValueError: for an invalid argument; when called, for values or a mask of the wrong shape.
+        ValueError: for an invalid argument.
 
     Examples:
         >>> import torch
@@ -195,13 +195,6 @@ class BootstrapDQNLoss(OneStepQLoss):
         mask = tensordict.get(keys.bootstrap_mask, None)
         weight = self._head_weights(tensordict, mask, reward)
         values = self._function(online, self._inputs(tensordict, weight), "draw")
-        if values.shape[:-2] != reward.shape[:-1]:
-            raise ValueError(
-                "the network must return values [*batch, heads, actions] with batch "
-                f"{list(reward.shape[:-1])}, got {list(values.shape)}"
-            )
-        if mask is not None and mask.shape != values.shape[:-1]:
-            raise self._wrong_mask(mask, list(values.shape[:-1]))
         heads = values.shape[:-1]
 
         def by_head(entry: Tensor) -> Tensor:
@@ -245,19 +238,12 @@ class BootstrapDQNLoss(OneStepQLoss):
         self, tensordict: TensorDictBase, mask: Tensor | None, like: Tensor
     ) -> Tensor | None:
         """Returns row weights [*replicas, *batch, K or 1] that sum to 1 for each head."""
-        weight = row_weights(self, tensordict, like)
+        weight = normalized_weights(self, tensordict, like)
         if mask is None:
             return weight
-        if mask.ndim != like.ndim or mask.shape[:-1] != like.shape[:-1]:
-            raise self._wrong_mask(mask, [*like.shape[:-1], "heads"])
         learns = mask.to(torch.result_type(like, 1.0))  # rewards may be integers
         weight = learns if weight is None else learns * weight
         dims = tuple(range(len(self.replicas), like.ndim - 1))
         # 0 / tiny: a head that learns from no row has no gradient
         tiny = torch.finfo(weight.dtype).tiny
         return weight / weight.sum(dims, keepdim=True).clamp_min_(tiny)
-
-    def _wrong_mask(self, mask: Tensor, shape: list[int | str]) -> ValueError:
-        wanted = ", ".join(str(size) for size in shape)
-        key = self.tensor_keys.bootstrap_mask
-        return ValueError(f"{key!r} must have shape [{wanted}], got {list(mask.shape)}")

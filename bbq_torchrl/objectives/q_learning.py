@@ -16,9 +16,9 @@ from torchrl.objectives.utils import ValueEstimators
 
 from bbq_torchrl.bayes.replicas import checked_number, replicas_of
 from bbq_torchrl.networks.q_actor import legal_actions, masked
-from bbq_torchrl.objectives.rows import row_entry, row_weights
 from bbq_torchrl.objectives.td_loss import DISTANCE, Distance, margin_loss, td_loss
 from bbq_torchrl.objectives.value_function import ValueFunction
+from bbq_torchrl.objectives.weighting import normalized_weights, row_entry
 from bbq_torchrl.settings import ABOVE_ZERO, PROBABILITY, check
 
 if TYPE_CHECKING:
@@ -233,7 +233,7 @@ class OneStepQLoss(DQNLoss):
         keys = self.tensor_keys
         online, target = self._tensors()
         reward, index = self._reward_and_index(tensordict)
-        weight = row_weights(self, tensordict, reward)
+        weight = normalized_weights(self, tensordict, reward)
         values, out = self._predict(online, self._inputs(tensordict, weight))
         with torch.no_grad():
             td_target = self._td_target(tensordict, online, target)
@@ -293,8 +293,7 @@ class OneStepQLoss(DQNLoss):
         """Returns the reward and the index of the action, both [*replicas, *batch, 1].
 
         Raises:
-            ValueError: if reward, action or terminated has the wrong shape, or the action is not of
-                an integer dtype.
+            ValueError: if reward, action or terminated has the wrong shape.
         """
         keys = self.tensor_keys
         reward, terminated = (tensordict["next", key] for key in (keys.reward, keys.terminated))
@@ -313,8 +312,6 @@ class OneStepQLoss(DQNLoss):
                 f"{keys.action!r} must be {self.action_space} with batch "
                 f"{list(reward.shape[:-1])}, as action_space says, got {list(action.shape)}"
             )
-        if index.is_floating_point() or index.dtype == torch.bool:
-            raise ValueError(f"{keys.action!r} must be of an integer dtype, got {action.dtype}")
         return reward, index.long()
 
     def _td_target(

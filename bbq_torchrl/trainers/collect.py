@@ -13,7 +13,6 @@ from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
-from bbq_torchrl.settings import BELOW_ONE, at_least, check
 from bbq_torchrl.trainers.errors import SpikeError, TrainingError
 
 if TYPE_CHECKING:
@@ -206,9 +205,6 @@ class Spike:
             heuristic to future work and gives no number.) Defaults to None: never.
         drop_window: the number of rounds in the mean. One round of 50 dialogues has a standard
             error of up to 0.07, five rounds of 0.03. Defaults to 5.
-
-    Raises:
-        ValueError: for an invalid argument.
     """
 
     policy: Policy
@@ -216,17 +212,6 @@ class Spike:
     protect: bool = True
     drop_above: float | None = None
     drop_window: int = 5
-
-    def __post_init__(self) -> None:
-        for name in ("dialogues", "drop_window"):
-            check(name, getattr(self, name), at_least(1))
-        if self.drop_above is not None:
-            check("drop_above", self.drop_above, BELOW_ONE)
-            if not self.protect:
-                raise ValueError(
-                    "drop_above needs protect=True, as unprotected spiked transitions are evicted "
-                    f"anyway, got protect={self.protect} and drop_above={self.drop_above}"
-                )
 
     def fill(self, replay: ReplicaReplay, env: EnvBase, *, max_steps: int) -> None:
         """Plays and stores the dialogues of each replica, and protects them if so set.

@@ -51,18 +51,8 @@ class ReplicaAdam:
     ) -> None:
         self.replicas = replicas
         self.parameters = [parameter for parameter in parameters if parameter.requires_grad]
-        if not self.parameters:
-            raise ValueError("parameters must include one that requires a gradient, got none")
-        for parameter in self.parameters:
-            if parameter.ndim == 0 or parameter.shape[0] != replicas:
-                raise ValueError(
-                    f"the first dimension of every parameter must be the {replicas} replicas, "
-                    f"got shape {tuple(parameter.shape)}"
-                )
-        self._views = [
-            [parameter.detach()[replica] for parameter in self.parameters]
-            for replica in range(replicas)
-        ]
+        views = [parameter.detach().unbind() for parameter in self.parameters]
+        self._views = list(zip(*views, strict=True))  # of each replica
         groups = self._groups(lr)
         self._rates = [group["lr"] for group in groups]
         self._adam = torch.optim.Adam(
@@ -76,12 +66,7 @@ class ReplicaAdam:
 
     def _groups(self, lr: float | Sequence[float]) -> list[dict[str, Any]]:
         """Returns Adam's parameter groups; adjacent replicas of the same rate share a group."""
-        rates = [lr] * self.replicas if isinstance(lr, (int, float)) else list(lr)
-        if len(rates) != self.replicas:
-            raise ValueError(
-                f"lr must be one number or one for each of the {self.replicas} replicas, got "
-                f"{len(rates)}"
-            )
+        rates = [lr] * self.replicas if isinstance(lr, (int, float)) else lr
         groups: list[dict[str, Any]] = []
         for rate, views in zip(rates, self._views, strict=True):
             if not groups or groups[-1]["lr"] != rate:

@@ -6,8 +6,6 @@ import csv
 import logging
 import math
 import multiprocessing
-import os
-import sys
 from io import StringIO
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
@@ -170,34 +168,29 @@ LINES = 40
 class RoundProgress:
     """Shows success, reward, KL and remaining time, averaged over the replicas.
 
-    Without a bar a line is logged after every round. Training for more than 40 rounds logs at most
-    40 lines, each with means over the rounds since the last.
+    The bar is shown if stderr is a terminal and no other process of a sweep draws on it. Otherwise
+    a line is logged after every round. Training for more than 40 rounds logs at most 40 lines, each
+    with means over the rounds since the last.
 
     Args:
         rounds: the number of rounds.
         done: the number of finished rounds (of a resumed run). Defaults to 0.
-        visible: whether the bar is shown. Defaults to None: if stderr is a terminal and no other
-            process of a sweep draws on it. A terminal without columns or lines never shows it.
         name: the prefix of each log line. Defaults to "".
     """
 
-    def __init__(
-        self, rounds: int, *, done: int = 0, visible: bool | None = None, name: str = ""
-    ) -> None:
+    def __init__(self, rounds: int, *, done: int = 0, name: str = "") -> None:
         self._rounds = rounds
         self._remaining = rounds - done
         self._name = f"{name}: " if name else ""
         self._pending: list[dict[str, float]] = []
-        is_in_sweep = visible is None and multiprocessing.parent_process() is not None
-        if is_in_sweep or _has_zero_size():
-            visible = False
+        is_in_sweep = multiprocessing.parent_process() is not None
         self._bar = tqdm(
             total=rounds,
             initial=done,
             desc="rounds",
             unit="round",
             dynamic_ncols=True,
-            disable=None if visible is None else not visible,
+            disable=True if is_in_sweep else None,
         )
 
     def update(self, rows: Sequence[MetricRow]) -> None:
@@ -240,11 +233,3 @@ class RoundProgress:
     def close(self) -> None:
         """Leaves the bar as it is and ends its line."""
         self._bar.close()
-
-
-def _has_zero_size() -> bool:
-    """Returns whether stderr is a terminal of size 0, as in containers: tqdm draws nothing."""
-    try:
-        return min(os.get_terminal_size(sys.stderr.fileno())) < 1
-    except (AttributeError, OSError, ValueError):  # not a terminal, or not a file stream
-        return False

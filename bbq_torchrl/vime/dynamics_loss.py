@@ -13,7 +13,7 @@ from torch import nn
 from torchrl.objectives import LossModule
 
 from bbq_torchrl.bayes.scope import KLSum, weight_scope
-from bbq_torchrl.objectives.rows import NumData, weights_of_rows
+from bbq_torchrl.objectives.weighting import NumData, row_weights
 from bbq_torchrl.settings import AT_LEAST_ZERO, COUNT, check
 
 if TYPE_CHECKING:
@@ -177,13 +177,13 @@ class DynamicsLoss(NumData, LossModule):
         observation, action, following, terminated = (tensordict[key] for key in self.in_keys)
         rows = observation.shape[:-1]
         predicted = ~terminated.bool().reshape(*rows, 1)
-        weight = weights_of_rows(self, tensordict, rows)
+        weight = row_weights(self, tensordict, rows)
         inputs = self.dynamics.inputs(observation, action)
         if weight is not None:
-            counts = weight != 0
-            predicted = predicted & counts
+            valid = weight != 0
+            predicted = predicted & valid
             # Mask before multiplying: an ignored row may contain anything.
-            inputs = torch.where(counts, inputs, 0)
+            inputs = torch.where(valid, inputs, 0)
         kl_sum = KLSum()
         with weight_scope("draw", kl=kl_sum):
             output = self.dynamics.network(inputs)

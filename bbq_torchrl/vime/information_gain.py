@@ -140,17 +140,17 @@ class RunningMedian(nn.Module):
         self.register_buffer("calls", like.new_zeros(tuple(replicas), dtype=torch.int64))
 
     @torch.no_grad()
-    def update(self, values: Tensor, counts: Tensor | None = None) -> Tensor:
+    def update(self, values: Tensor, valid: Tensor | None = None) -> Tensor:
         """Adds values and returns the median of the last medians, [*replicas]; NaN without values.
 
         Args:
             values: shape [*replicas, n]; NaN is ignored.
-            counts: bool [*replicas, n], True for valid values; None for all. A replica without
+            valid: bool [*replicas, n], True for valid values; None for all. A replica without
                 valid values keeps its state.
         """
         window = self.medians.shape[-1]
-        if counts is not None:
-            values = torch.where(counts, values, torch.nan)
+        if valid is not None:
+            values = torch.where(valid, values, torch.nan)
         median = values.nanmedian(-1, keepdim=True).values
         calls = self.calls.unsqueeze(-1)
         slots = torch.arange(window, device=values.device)

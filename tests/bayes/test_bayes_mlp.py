@@ -10,7 +10,6 @@ from torch.func import functional_call
 
 from bbq_torchrl.bayes import (
     BayesConv2d,
-    BayesGRU,
     BayesLinear,
     BayesMLP,
     kl_divergence,
@@ -98,7 +97,6 @@ def test_it_starts_at_the_prior_or_at_std_init():
         lambda: BayesMLP(10, 3, (20,)),
         lambda: BayesLinear(16, 3),
         lambda: BayesConv2d(4, 3, 2),
-        lambda: BayesGRU(5, 16),
     ],
 )
 def test_by_default_it_starts_as_any_network_does_with_little_noise(make):

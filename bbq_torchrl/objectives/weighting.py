@@ -1,4 +1,4 @@
-"""Row masks and weights of a batch, and the number of data N."""
+"""Weights of a batch's rows, and the number of data N, which weighs the KL."""
 
 from __future__ import annotations
 
@@ -35,9 +35,7 @@ def row_entry(tensordict: TensorDictBase, key: NestedKey, rows: torch.Size) -> T
     return entry.unsqueeze(-1)
 
 
-def rows_that_count(
-    loss: LossModule, tensordict: TensorDictBase, rows: torch.Size
-) -> Tensor | None:
+def valid_rows(loss: LossModule, tensordict: TensorDictBase, rows: torch.Size) -> Tensor | None:
     """Returns the mask of rows that a loss learns from, bool [*rows, 1]; None for all rows.
 
     The loss's ``loss_mask_key`` names the mask. If it is "auto", the mask combines "valid" (which
@@ -51,18 +49,16 @@ def rows_that_count(
     Raises:
         ValueError: for a mask of the wrong shape.
     """
-    counts: Tensor | None = None
+    valid: Tensor | None = None
     ours = ("valid",) if loss.loss_mask_key == "auto" else ()
     for key in (*ours, *loss._loss_mask_keys()):
         mask = row_entry(tensordict, key, rows)
         if mask is not None:
-            counts = mask.bool() if counts is None else counts & mask.bool()
-    return counts
+            valid = mask.bool() if valid is None else valid & mask.bool()
+    return valid
 
 
-def weights_of_rows(
-    loss: LossModule, tensordict: TensorDictBase, rows: torch.Size
-) -> Tensor | None:
+def row_weights(loss: LossModule, tensordict: TensorDictBase, rows: torch.Size) -> Tensor | None:
     """Returns the weight of each row, [*rows, 1]; None if all rows weigh the same.
 
     Weights are floating-point if prioritized replay has set any, otherwise bool.
@@ -75,16 +71,18 @@ def weights_of_rows(
     Raises:
         ValueError: for a mask or weights of the wrong shape.
     """
-    counts = rows_that_count(loss, tensordict, rows)
+    valid = valid_rows(loss, tensordict, rows)
     if loss.use_prioritized_weights not in (True, "auto"):
-        return counts
+        return valid
     priority = row_entry(tensordict, loss.tensor_keys.priority_weight, rows)
-    if priority is None or counts is None:
-        return counts if priority is None else priority
-    return priority.where(counts, 0)
+    if priority is None or valid is None:
+        return valid if priority is None else priority
+    return priority.where(valid, 0)
 
 
-def row_weights(loss: LossModule, tensordict: TensorDictBase, reward: Tensor) -> Tensor | None:
+def normalized_weights(
+    loss: LossModule, tensordict: TensorDictBase, reward: Tensor
+) -> Tensor | None:
     """Returns weights [*replicas, *batch, 1] that sum to 1; None if all rows weigh the same.
 
     Args:
@@ -95,7 +93,7 @@ def row_weights(loss: LossModule, tensordict: TensorDictBase, reward: Tensor) ->
     Raises:
         ValueError: for a mask or weights of the wrong shape.
     """
-    weight = weights_of_rows(loss, tensordict, reward.shape[:-1])
+    weight = row_weights(loss, tensordict, reward.shape[:-1])
     if weight is None:
         return None
     weight = weight.to(torch.result_type(reward, 1.0))  # rewards may be integers
@@ -126,23 +124,9 @@ class NumData(nn.Module):
         """Sets N, the number of transitions that the KL is divided by.
 
         Args:
-            num_data: a positive number or a tensor [*replicas]. The values of a tensor are not
-                checked, which avoids waiting for the device.
-
-        Raises:
-            ValueError: if a number is not positive or a tensor has the wrong shape.
+            num_data: a positive number or a tensor [*replicas].
         """
-        if isinstance(num_data, torch.Tensor):
-            if num_data.shape not in (self.replicas, torch.Size(())):
-                raise ValueError(
-                    f"num_data must be a number or have shape {list(self.replicas)}, got "
-                    f"{list(num_data.shape)}"
-                )
-            self.num_data.copy_(num_data)
-        else:
-            if not num_data > 0:
-                raise ValueError(f"num_data must be positive, got {num_data}")
-            self.num_data.fill_(num_data)
+        self.num_data.copy_(torch.as_tensor(num_data))
         self._num_data_known = True
 
     def _check_num_data(self) -> None:

@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import fcntl
 import importlib.util
 import logging
 import math
 import multiprocessing
-import os
-import pty
-import struct
 import sys
-import termios
 from unittest.mock import MagicMock, call
 
 import pytest
@@ -57,25 +52,14 @@ def test_what_a_round_has_not_is_empty_and_without_rounds_there_is_no_file(tmp_p
 
 
 @pytest.mark.parametrize(
-    ("columns", "message"),
-    [
-        ({"loss": 0.5}, r"must have the columns \('round', 'replica', 'loss', 'epsilon'\)"),
-        *(
-            (
-                {"loss": 0.5, "epsilon": torch.zeros(shape)},
-                r"^the metric epsilon must be one number or one for each replica, shape \[2\], "
-                rf"got shape \[{', '.join(map(str, shape))}\]$",
-            )
-            for shape in ((3,), (2, 1))
-        ),
-    ],
+    "columns", [{"loss": 0.5}, *({"loss": 0.5, "epsilon": torch.zeros(n)} for n in ((3,), (2, 1)))]
 )
-def test_columns_that_do_not_fit_are_refused_and_nothing_is_written(tmp_path, columns, message):
+def test_columns_that_do_not_fit_are_refused_and_nothing_is_written(tmp_path, columns):
     metrics = MetricsFile(tmp_path / "metrics.csv", 2)
     rows = metrics.append(0, {"loss": 0.5, "epsilon": 1.0})
     text = metrics.path.read_text()
 
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match="epsilon"):
         metrics.append(1, columns)
 
     assert metrics.path.read_text() == text
@@ -144,8 +128,9 @@ def row(replica: int, evaluated: float = math.nan, **changed: float) -> dict[str
     return {**row, "eval_success_rate": evaluated, **changed}
 
 
-def test_the_bar_shows_means_over_the_replicas_and_the_last_evaluation(capsys):
-    bar = RoundProgress(10, done=4, visible=True)
+def test_the_bar_shows_means_over_the_replicas_and_the_last_evaluation(capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    bar = RoundProgress(10, done=4)
     for evaluated in (math.nan, 0.5, math.nan):
         bar.update([row(0, evaluated), row(1, evaluated)])
     bar.close()
@@ -166,30 +151,9 @@ def test_runs_side_by_side_do_not_draw_over_one_another(capsys, monkeypatch):
         assert bool(capsys.readouterr().err) is is_shown
 
 
-@pytest.mark.parametrize(
-    ("size", "is_drawn"), [((24, 80), True), ((0, 0), False), ((24, 0), False), ((0, 80), False)]
-)
-@pytest.mark.parametrize("visible", [None, True])
-def test_a_terminal_without_a_size_gets_lines_in_place_of_a_bar(
-    size, is_drawn, visible, caplog, monkeypatch
-):
-    caplog.set_level(logging.INFO, "bbq_torchrl")
-    ours, its = pty.openpty()
-    fcntl.ioctl(its, termios.TIOCSWINSZ, struct.pack("HHHH", *size, 0, 0))
-    os.set_blocking(ours, False)
-    with open(its, "w") as terminal, open(ours, "rb", buffering=0) as screen:
-        monkeypatch.setattr(sys, "stderr", terminal)
-        progress = RoundProgress(1, visible=visible)
-        progress.update([row(0)])
-        progress.close()
-        monkeypatch.undo()
-        assert ("1/1" in (screen.read() or b"").decode()) is is_drawn
-    assert bool(caplog.messages) is not is_drawn
-
-
 def test_a_short_training_without_a_bar_logs_every_round(caplog):
     caplog.set_level(logging.INFO, "bbq_torchrl")
-    progress = RoundProgress(3, visible=False, name="a_run")
+    progress = RoundProgress(3, name="a_run")
     for evaluated in (math.nan, 0.4, math.nan):
         progress.update([row(0, evaluated), row(1, evaluated)])
     assert caplog.messages == [
@@ -201,7 +165,7 @@ def test_a_short_training_without_a_bar_logs_every_round(caplog):
 
 def test_a_long_training_logs_at_most_forty_lines_with_means_of_the_rounds_between(caplog):
     caplog.set_level(logging.INFO, "bbq_torchrl")
-    progress = RoundProgress(82, visible=False)
+    progress = RoundProgress(82)
     for number in range(82):
         evaluated = {3: 0.1, 4: 0.2}.get(number, math.nan)
         progress.update([row(0, evaluated, success_rate=(number % 3) / 2)])
