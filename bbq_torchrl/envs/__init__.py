@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from bbq_torchrl.envs.dialogue import DialogueEnv
-from bbq_torchrl.envs.extension import EnvState, ExtensionSchedule
+from bbq_torchrl.envs.dialogue import DialogueEnv, EnvState
+from bbq_torchrl.envs.extension import ExtensionSchedule
 from bbq_torchrl.envs.policies import (
     CarefulPolicy,
     ClairvoyantPolicy,

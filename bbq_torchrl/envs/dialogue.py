@@ -9,16 +9,9 @@ from typing import TYPE_CHECKING, Any, SupportsIndex
 import torch
 from tensordict import TensorDict
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
-from torchrl.envs import EnvBase
+from torchrl.envs import EnvBase, Transform
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.envs.extension import (
-    CompiledPlay,
-    action_indices,
-    check_range,
-    checked_batch,
-    present_device,
-)
 from bbq_torchrl.simulator import ErrorModel, Rewards, Simulator
 from bbq_torchrl.utils.seeds import checked_seed, seed_of_process, unshared_seed
 
@@ -79,8 +72,6 @@ class DialogueEnv(EnvBase):
         seed: seed of the generator; ``None`` draws one from torch's global generator, a different
             one in each process.
         device: device of the dialogues.
-        compile_turns: whether to compile turns by ``torch.compile``, which takes up to a minute in
-            the first turn. (TorchRL's ``compile`` compiles all of ``step_and_maybe_reset``.)
         channel: the channel between user and tracker, made for the domain's tensors, instead of the
             errors above.
         users: the name of a mix of users (``"people"``), or its
@@ -115,11 +106,10 @@ class DialogueEnv(EnvBase):
         schedule: ExtensionSchedule | None = None,
         seed: int | None = None,
         device: torch.device | str = "cpu",
-        compile_turns: bool = False,
         channel: Channel | None = None,
         users: Users = "paper",
     ) -> None:
-        super().__init__(device=present_device(device), batch_size=checked_batch(batch_size))
+        super().__init__(device=torch.empty(0, device=device).device, batch_size=batch_size)
         if slot_error_prob is None:
             slot_error_prob = domain.reference_slot_error_prob
         tensors = tensorize(domain)
@@ -130,20 +120,15 @@ class DialogueEnv(EnvBase):
         if channel is None:
             channel = ErrorModel(tensors, slot_error_prob, slot_error_mode, intent_error_prob)
         rewards = Rewards(success_reward, failure_reward, turn_reward)
-        self._compiles_turns = compile_turns
-        self._use(
-            Simulator(tensors, errors=channel, rewards=rewards, max_turn=max_turn, users=users)
+        simulator = Simulator(
+            tensors, errors=channel, rewards=rewards, max_turn=max_turn, users=users
         )
+        self.simulator = simulator.to(self.device)
         self._dialogues: TensorDict | None = None
         self._generator = torch.Generator(self.device)
         self._set_seed(seed)
         self._make_specs()
         self.set_round(0)
-
-    def _use(self, simulator: Simulator) -> None:
-        self.simulator = simulator.to(self.device)
-        is_compiled = self._compiles_turns
-        self._play = CompiledPlay(self.simulator) if is_compiled else self.simulator.play
 
     # -- properties ------------------------------------------------------------------------------
 
@@ -196,12 +181,9 @@ class DialogueEnv(EnvBase):
         Raises:
             ValueError: if the round is below 0.
         """
-        try:
-            self._round = index(round)
-        except TypeError:
-            self._round = -1
-        if self._round < 0:
+        if round < 0:
             raise ValueError(f"round must be 0 or later, got {round}")
+        self._round = index(round)
         slots = self.domain.slots
         schedule = self.schedule
         active = slots if schedule is None else schedule.active(self.domain, self._round)
@@ -297,22 +279,17 @@ class DialogueEnv(EnvBase):
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         before, count = self.dialogues, len(self.domain.actions)
-        action = action_indices(tensordict["action"], self.batch_size, count)
+        action = _indices(tensordict["action"], self.batch_size, count)
         draws = self.simulator.draw_turn(self.batch_size, self._generator)
-        try:
-            after, observation = self._play(before, action, draws, self._active)
-        except IndexError:
-            check_range(action, count)
-            raise
+        after = self.simulator.turn(before, action, draws, self._active)
         which = tensordict.get("_step", None)
         if which is not None:
             is_played = which.view(self.batch_size) | before["done"]  # ended ones stay as they are
             if not bool(is_played.all()):
                 reward = torch.where(is_played, after["reward"], 0.0)
                 after = after.where(is_played, before).set("reward", reward)
-                observation = self.simulator.observe(after, self._active)
         self._dialogues = after
-        emitted = self._emit(self._dialogues, observation)
+        emitted = self._emit(after, self.simulator.observe(after, self._active))
         emitted["reward"] = self._dialogues["reward"][..., None].clone()
         return emitted
 
@@ -342,12 +319,12 @@ class DialogueEnv(EnvBase):
 
         A generator belongs to a device, so the environment gets a new one, seeded from the old one.
         """
-        device = present_device(device)
+        device = torch.empty(0, device=device).device
         if device != self.device:
             seed = self._draw_seed()
             super().to(device)
             self._generator = torch.Generator(self.device).manual_seed(seed)
-            self._use(self.simulator)
+            self.simulator = self.simulator.to(self.device)
             if self._dialogues is not None:
                 self._dialogues = self._dialogues.to(self.device)
             self.set_round(self._round)
@@ -372,18 +349,14 @@ class DialogueEnv(EnvBase):
         saved = state["dialogues"]
         if saved is not None:
             batch, slots = saved["done"].shape, saved["held"].shape[-1]
-            name = state.get("domain", self.domain.name)  # older states lack it
+            name = state["domain"]
             if (batch, name, slots) != (self.batch_size, self.domain.name, len(self.domain.slots)):
                 raise ValueError(
                     f"the saved dialogues have batch size {list(batch)} and are of domain {name} "
                     f"with {slots} slots, the environment has {list(self.batch_size)} and is of "
                     f"{self.domain.name} with {len(self.domain.slots)}"
                 )
-            # States saved before the tracker kept requests: they equal the pending ones. States
-            # saved before users could be asked to repeat: nobody was.
-            added = dict.fromkeys(("heard_requests", "open_requests"), saved["pending"])
-            added["repeats"] = torch.zeros_like(saved["turn"])
-            saved = TensorDict(added | saved, batch_size=batch).to(self.device).clone()
+            saved = TensorDict(saved, batch_size=batch).to(self.device).clone()
         self._dialogues = saved
         self._generator.set_state(state["generator"].cpu())
         self._unseeded_in = None
@@ -401,3 +374,69 @@ class DialogueEnv(EnvBase):
                 "saves it only for TransformedEnv(env, EnvState())"
             )
         return super().load_state_dict(state_dict, *args, **kwargs)
+
+
+def _indices(action: torch.Tensor, batch_size: Sequence[int], count: int) -> torch.Tensor:
+    """Returns indices of actions as int64, shape [*batch].
+
+    Raises:
+        ValueError: if shape or dtype differ, as for one-hot actions.
+    """
+    is_integer = not (action.is_floating_point() or action.is_complex())
+    if not is_integer or action.dtype == torch.bool or action.shape != torch.Size(batch_size):
+        raise ValueError(
+            f"action must be Categorical: indices from 0 to {count - 1}, of an integer dtype and "
+            f"shape {list(batch_size)}, got {action.dtype} of shape {list(action.shape)}"
+        )
+    return action.long()
+
+
+class EnvState(Transform):
+    """Adds the state of the base environment to the ``state_dict`` of a ``TransformedEnv``.
+
+    TorchRL saves only the transforms of a ``TransformedEnv``, and so of a ``Collector`` and a
+    ``Trainer``. This transform saves and loads a :class:`~bbq_torchrl.envs.DialogueEnv` (or a
+    ``SerialEnv`` or ``ParallelEnv`` of them) along with them: dialogues, random generator and
+    round. It has no other effect.
+
+    A ``Collector`` does not save its last observation. Get it again after loading by
+    ``collector.reset(resume=True)``, which restarts the counts of other transforms, such as
+    ``StepCounter``. The ``MultiSyncCollector`` cannot pass on ``resume``: its dialogues continue,
+    but each worker chooses its next actions from the observation before loading. A ``ParallelEnv``
+    needs ``use_buffers=False``: with buffers, that of torchrl 0.14.1 responds too early after
+    loading.
+
+    Examples:
+        >>> from torchrl.envs import TransformedEnv
+        >>> from bbq_torchrl.domains import movie_domain
+        >>> from bbq_torchrl.envs import DialogueEnv, EnvState
+        >>> one, other = (
+        ...     TransformedEnv(DialogueEnv(movie_domain(), seed=seed), EnvState())
+        ...     for seed in (0, 1)
+        ... )
+        >>> observed = one.reset()
+        >>> _ = other.load_state_dict(one.state_dict())
+        >>> bool((other.reset(resume=True) == observed).all())
+        True
+    """
+
+    def __init__(self) -> None:
+        super().__init__(in_keys=[], out_keys=[])
+
+    def get_extra_state(self) -> dict[str, Any]:
+        """Returns the environment's ``state_dict``; empty outside an environment."""
+        container = self.container
+        return {} if container is None else dict(container.base_env.state_dict())
+
+    def set_extra_state(self, state: dict[str, Any]) -> None:
+        """Loads the result of :meth:`get_extra_state` into the environment."""
+        if self.container is not None:
+            self.container.base_env.load_state_dict(state)
+
+    def _call(self, next_tensordict: TensorDictBase) -> TensorDictBase:
+        return next_tensordict
+
+    def _reset(
+        self, tensordict: TensorDictBase, tensordict_reset: TensorDictBase
+    ) -> TensorDictBase:
+        return tensordict_reset

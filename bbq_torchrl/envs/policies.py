@@ -156,7 +156,7 @@ class SequencePolicy(TensorDictModuleBase):
         action_key: where the action is written, int64 ``[*batch]``.
 
     Raises:
-        ValueError: if the sequence is empty, or an action is not an integer.
+        TypeError: if an action is not an integer.
 
     Examples:
         >>> from tensordict import TensorDict
@@ -175,15 +175,9 @@ class SequencePolicy(TensorDictModuleBase):
         action_key: NestedKey = "action",
     ) -> None:
         super().__init__()
-        if len(actions) == 0:
-            raise ValueError("actions must have at least one action, got none")
-        try:
-            indices = [index(action) for action in actions]
-        except TypeError:
-            raise ValueError(f"actions must be indices, integers, got {actions!r}") from None
         self.turns_key, self.action_key = turns_key, action_key
         self.in_keys, self.out_keys = [turns_key], [action_key]
-        self.register_buffer("actions", torch.tensor(indices, dtype=torch.int64))
+        self.register_buffer("actions", torch.tensor([index(action) for action in actions]))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the action of this turn."""

@@ -1,21 +1,37 @@
-"""Dialogues at the level of text: users' acts become sentences, which the nlu understands."""
+"""Dialogues at the level of text: users' acts become sentences, which the nlu understands.
+
+Counting what the nlu mishears gives the tables of
+:class:`~bbq_torchrl.simulator.MeasuredErrors`.
+"""
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+import json
+from itertools import cycle
+from typing import TYPE_CHECKING, Any
 
 import torch
+from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
 from bbq_torchrl.domains import tensorize
+from bbq_torchrl.domains.domain import RANDOM_POLICY
 from bbq_torchrl.domains.frames import Coding
+from bbq_torchrl.envs.dialogue import DialogueEnv
+from bbq_torchrl.envs.policies import scripted_policy
 from bbq_torchrl.people.language import Frame, Generator, TextError, Understood
 from bbq_torchrl.people.language.asking import Asking, repeated
 from bbq_torchrl.people.language.cache import cached_understander
 from bbq_torchrl.simulator import Utterance
 from bbq_torchrl.simulator.choices import index_below
+from bbq_torchrl.simulator.measured_errors import ERRORS_FILE, ErrorCounter
+from bbq_torchrl.utils.seeds import checked_seed
 
 if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+    from pathlib import Path
+
     from tensordict import TensorDictBase
+    from tensordict.nn import TensorDictModuleBase
 
     from bbq_torchrl.domains import Domain, DomainTensors
     from bbq_torchrl.people.language import Understander
@@ -25,6 +41,8 @@ VARIANTS = 16
 """The number of wordings of an act."""
 
 _CACHE_SIZE = 200_000
+_BATCH = 500
+_RANDOM = 0.15  # share of random actions: an agent that learns tries everything
 _BEFORE = -1
 
 
@@ -166,3 +184,87 @@ def text_channel(domain: Domain, ask_below: float | None = None) -> TextChannel:
     understand = cached_understander(domain)
     speak = Generator(domain)
     return TextChannel(tensorize(domain), understand, speak, ask_below)
+
+
+def count_errors(
+    domain: Domain,
+    turns: int,
+    *,
+    seed: int = 0,
+    trained: Mapping[str, TensorDictModuleBase] | None = None,
+) -> dict[str, Any]:
+    """Counts what is said and heard in simulated dialogues at the level of text.
+
+    The domain's scripted policies play half of the turns, one after another, with a share of random
+    actions. Trained agents play the other half without random actions: no script informs users as
+    they do, and is corrected as they are.
+
+    Args:
+        domain: the domain.
+        turns: the least number of user turns to count.
+        seed: seed of all random numbers.
+        trained: policies of trained agents, of one replica, by name. Without them the scripted
+            policies play all turns.
+    """
+    seed = checked_seed(seed)
+    channel = ErrorCounter(text_channel(domain), tensorize(domain))
+    names = tuple(domain.policies) or (RANDOM_POLICY,)
+    halves: list[tuple[Iterable[str | TensorDictModuleBase], float]] = [(names, _RANDOM)]
+    if trained:
+        halves.append((trained.values(), 0.0))
+    generator = torch.Generator().manual_seed(seed)
+    number = 0
+    for half, (policies, random) in enumerate(halves, 1):
+        for policy in cycle(policies):
+            if channel.turns >= turns * half / len(halves):
+                break
+            env = DialogueEnv(domain, batch_size=(1, _BATCH), channel=channel, seed=seed + number)
+            module = scripted_policy(policy, env) if isinstance(policy, str) else policy
+            _play(env, module, random, generator)
+            number += 1
+    return {
+        "domain": domain.name,
+        "seed": seed,
+        "trained": list(trained or ()),
+        "turns": channel.turns,
+        **channel.counts(),
+    }
+
+
+def _play(
+    env: DialogueEnv, policy: TensorDictModuleBase, random: float, generator: torch.Generator
+) -> None:
+    """Plays the environment's dialogues to their end, with a share of random actions."""
+    shape, actions = env.batch_size, env.domain.actions
+    ends = torch.tensor([action.act in ("thanks", "closing") for action in actions])
+    state = env.reset()
+    with set_exploration_type(ExplorationType.DETERMINISTIC), torch.no_grad():
+        while not bool(state["done"].all()):
+            action = policy(state)["action"]
+            other = torch.randint(len(actions), shape, generator=generator)
+            is_random = torch.rand(shape, generator=generator) < random
+            # Random actions seldom end a dialogue, because late turns are needed too.
+            is_random &= ~ends[other] | (torch.rand(shape, generator=generator) < random)
+            state["action"] = torch.where(is_random, other, action)
+            state = step_mdp(env.step(state))
+
+
+def save_errors(folder: Path, counts: Mapping[str, Any]) -> Path:
+    """Writes counts into a domain's folder: JSON with a line for each row of the tables."""
+    file = folder / ERRORS_FILE
+    file.write_text(f"{_lines(counts, 0)}\n", encoding="utf-8")
+    return file
+
+
+def _lines(content: Any, depth: int) -> str:
+    is_row = not isinstance(content, dict) or not any(
+        isinstance(value, dict) for value in content.values()
+    )
+    if is_row:
+        return json.dumps(content, ensure_ascii=False)
+    pad = " " * (depth + 1)
+    rows = (
+        f"{pad}{json.dumps(key, ensure_ascii=False)}: {_lines(value, depth + 1)}"
+        for key, value in content.items()
+    )
+    return "{\n" + ",\n".join(rows) + "\n" + " " * depth + "}"

@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Any, ClassVar
 from bbq_torchrl.options.registry import Option, register
 from bbq_torchrl.options.task import action_mask_key
 from bbq_torchrl.settings import (
-    BOOLEAN,
     COUNT,
     NON_NEGATIVE_INTEGER,
     PROBABILITY,
@@ -151,9 +150,6 @@ class FullDomain(EnvOption):
     failure_reward: float = setting(-10.0, REWARD, "reward of a dialogue that fails")
     turn_reward: float = setting(-1.0, REWARD, "reward of a turn that does not end the dialogue")
     users: Any = setting("paper", USERS, "simulated users: a mix by name, or its profiles")
-    compile_turns: bool = setting(
-        False, BOOLEAN, "compile turns by torch.compile, which takes up to a minute"
-    )
 
     has_domain: ClassVar[bool] = True
 
@@ -163,8 +159,6 @@ class FullDomain(EnvOption):
         is_text = self.level == "text"
         if is_text:
             self.refuse_changes(["errors"], "env.level=text", "whose errors are those of sentences")
-            if self.compile_turns:
-                raise ConfigError("env.compile_turns must be false with env.level=text, got true")
         else:
             why = "which has no sentences to ask about"
             self.refuse_changes(["ask_below"], "env.level=act", why)
@@ -213,7 +207,7 @@ class FullDomain(EnvOption):
             raise ConfigError(f"env.level=text cannot be played: {error}") from error
         if self.errors == "drawn":
             return None
-        from bbq_torchrl.envs.measured import load_errors
+        from bbq_torchrl.simulator.measured_errors import load_errors
 
         try:
             return load_errors(domain)
@@ -275,7 +269,6 @@ class FullDomain(EnvOption):
             schedule=self.schedule(),
             seed=seed,
             device=device,
-            compile_turns=self.compile_turns,
             channel=self._channel(domain),
             users=self.users,
         )

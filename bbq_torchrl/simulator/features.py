@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 
 from bbq_torchrl.domains.values import NONE
+from bbq_torchrl.settings import REWARD, check
 from bbq_torchrl.simulator.choices import one_hot, rows
 
 if TYPE_CHECKING:
@@ -104,12 +104,10 @@ class FeatureLayout:
         self.names = tuple(
             f"{group.name}:{member}" for group in self.groups for member in group.members
         )
+        self._columns = {name: index for index, name in enumerate(self.names)}
 
     def __getitem__(self, name: str) -> slice:
         """Returns the slice of a group's features."""
-        if name not in self._slices:
-            groups = ", ".join(self._slices)
-            raise KeyError(f"{name!r} is not a group of features; the groups are {groups}")
         return self._slices[name]
 
     def __iter__(self) -> Iterator[str]:
@@ -134,12 +132,7 @@ class FeatureLayout:
         Raises:
             KeyError: if the feature does not exist.
         """
-        within, name = self[group], f"{group}:{member}"
-        names = self.names[within]
-        if name not in names:
-            members = ", ".join(known.partition(":")[2] for known in names)
-            raise KeyError(f"{member!r} is not a feature of {group!r}, which has {members}")
-        return within.start + names.index(name)
+        return self._columns[f"{group}:{member}"]
 
 
 class Features:
@@ -215,8 +208,7 @@ class Rewards:
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not math.isfinite(value):
-                raise ValueError(f"the reward for {name} must be finite, got {value}")
+            check(f"the reward for {name}", value, REWARD)
 
     def of(
         self, was_done: torch.Tensor, is_done: torch.Tensor, success: torch.Tensor

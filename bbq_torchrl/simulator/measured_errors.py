@@ -1,29 +1,39 @@
-"""Error rates measured on sentences, applied to dialogue acts as tensors."""
+"""Error rates measured on sentences, counted and applied to dialogue acts as tensors."""
 
 from __future__ import annotations
 
+import json
+from collections import Counter, defaultdict
+from functools import reduce
 from typing import TYPE_CHECKING, Any
 
 import torch
 from torch.nn.utils.rnn import pad_sequence
 
-from bbq_torchrl.domains.tensors import Movable
+from bbq_torchrl.domains.tensors import Movable, tensorize
 from bbq_torchrl.domains.values import NONE, fold, value_ids
 from bbq_torchrl.simulator.choices import one_hot, rows
 from bbq_torchrl.simulator.error_model import ABOVE_IDS
 from bbq_torchrl.simulator.tracker import Utterance
+from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
     from tensordict import TensorDictBase
 
-    from bbq_torchrl.domains import DomainTensors
+    from bbq_torchrl.domains import Domain, DomainTensors
+    from bbq_torchrl.simulator.error_model import Channel
     from bbq_torchrl.simulator.tracker import AgentTurn
 
 CONTEXTS = ("opening", "asked", "beside", "corrected", "told")
 """The contexts in which a user mentions a slot: the opening; after the agent has requested the
 slot; has requested another slot; has informed the slot; any other."""
+
+ERRORS_FILE = "errors.json"
+"""The file of counts in a domain's folder."""
+
+_COMMAND = "bbq language count"
 
 MAX_REQUESTS = 3
 """Turns with this many requests or more count as one kind."""
@@ -235,3 +245,133 @@ def _drawn(
     """Draws a code from each row's distribution. Returns long, shape of ``row``."""
     choice = (uniform[..., None] >= rows(below, row)).sum(-1)
     return codes.flatten().take(row * codes.shape[-1] + choice)
+
+
+def load_errors(domain: Domain) -> MeasuredErrors:
+    """Loads the errors counted for a domain.
+
+    Args:
+        domain: the domain, with :data:`ERRORS_FILE` in its folder.
+
+    Raises:
+        ValueError: if the file is missing, damaged, or of a domain with other slots.
+    """
+    file = None if domain.folder is None else domain.folder / ERRORS_FILE
+    if file is None or not file.is_file():
+        found = f"{domain.name} without a folder" if file is None else f"no {shown(str(file))}"
+        raise ValueError(
+            f"env.errors=measured needs a domain folder with {ERRORS_FILE}, got {found}: "
+            f"`{_COMMAND} --domain <folder>` writes {ERRORS_FILE} into it"
+        )
+    try:
+        counts = json.loads(file.read_text(encoding="utf-8-sig"))
+        counted = {slot for row in counts["requests"].values() for slot in row}
+        if counted != {*domain.slots}:  # the requests of every turn count all slots
+            raise ValueError(f"its slots are {', '.join(sorted(counted))}")
+        return MeasuredErrors(tensorize(domain), counts)
+    except Exception as error:  # such as JSON nested too deeply or missing counts
+        raise ValueError(
+            f"{file} is damaged or has the errors of another domain ({error!r}): write it again "
+            f"by `{_COMMAND} --domain {file.parent}`"
+        ) from error
+
+
+class ErrorCounter:
+    """A channel that counts what another one mishears, for :class:`MeasuredErrors`.
+
+    Args:
+        channel: the other channel.
+        domain: the domain's tensors.
+
+    Attributes:
+        turns: the number of utterances counted.
+    """
+
+    def __init__(self, channel: Channel, domain: DomainTensors) -> None:
+        self._channel = channel
+        self.slot_draws, self.draws = channel.slot_draws, channel.draws
+        self.mishears_all = channel.mishears_all
+        self.turns = 0
+        self._acts, self._slots = tuple(domain.act), tuple(domain.slot)
+        self._questions = questions_of(self._acts, self._slots)
+        self._vocabulary = domain.vocabulary
+        self._counted: Counter[tuple[str, ...]] = Counter()
+        self._requests: dict[tuple[str, str], list[int]] = defaultdict(lambda: [0, 0])
+
+    def to(self, device: torch.device | str) -> ErrorCounter:
+        """Returns itself: counting takes place on the CPU."""
+        return self
+
+    def transmit(
+        self,
+        said: Utterance,
+        agent: AgentTurn | None,
+        before: torch.Tensor,
+        is_silent: torch.Tensor,
+        draws: TensorDictBase,
+        active: torch.Tensor,
+    ) -> Utterance:
+        """Returns the utterance heard, and counts it."""
+        heard = self._channel.transmit(said, agent, before, is_silent, draws, active)
+        columns = (
+            *context_of(agent, said, len(self._acts)),
+            *(said.act, said.informs, said.requests),
+            *(heard.act, heard.informs, heard.requests),
+        )
+        for turn in zip(*(column[~is_silent].tolist() for column in columns), strict=True):
+            self._count(*turn)
+        return heard
+
+    def _count(
+        self,
+        question: int,
+        asks_or_question: int,
+        contexts: list[int],
+        act: int,
+        informs: list[int],
+        requests: list[bool],
+        heard_act: int,
+        heard_informs: list[int],
+        heard_requests: list[bool],
+    ) -> None:
+        self.turns += 1
+        acts, slots, text = self._acts, self._slots, self._vocabulary
+        manner = "asking" if any(heard_requests) else "silent"
+        asked, counted = self._questions[asks_or_question], self._counted
+        said_act = f"{self._questions[question]} {acts[act]} {manner}"
+        counted["acts", said_act, acts[heard_act]] += 1
+        values = list(enumerate(zip(informs, heard_informs, strict=True)))
+        lost = [slot for slot, (said, heard) in values if said and not heard]
+        new = [slot for slot, (said, heard) in values if heard and not said]
+        moved = (lost[0], new[0]) if len(lost) == len(new) == 1 else None
+        for slot, (said, _) in values:
+            if not said:
+                continue
+            target = moved[1] if moved and moved[0] == slot else slot
+            value = heard_informs[target]
+            name = f"{slots[target]}={text[target][value]}" if value else ""
+            counted["values", CONTEXTS[contexts[slot]], slots[slot], text[slot][said], name] += 1
+        counted["inserted", asked, "turns"] += 1
+        for slot in [] if moved else new[:1]:
+            name = f"{slots[slot]}={text[slot][heard_informs[slot]]}"
+            counted["inserted", asked, name] += 1
+        count = min(sum(requests), MAX_REQUESTS)
+        for slot, name in enumerate(slots):
+            said_ = "said" if requests[slot] else "unsaid"
+            pair = self._requests[f"{count} {said_} {CONTEXTS[contexts[slot]]}", name]
+            pair[0] += heard_requests[slot]
+            pair[1] += 1
+
+    def counts(self) -> dict[str, Any]:
+        """Returns the counts as plain data, in a deterministic order."""
+        counts: dict[str, Any] = {
+            "acts": {},
+            "values": {context: {} for context in CONTEXTS},
+            "inserted": {},
+            "requests": {},
+        }
+        rows: dict[tuple[str, ...], Any] = dict(self._counted)
+        rows |= {("requests", *path): pair for path, pair in self._requests.items()}
+        for (*above, last), number in sorted(rows.items()):
+            reduce(lambda found, key: found.setdefault(key, {}), above, counts)[last] = number
+        return counts

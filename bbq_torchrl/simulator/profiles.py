@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -12,7 +12,17 @@ from tensordict import TensorDict
 
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import DONT_CARE, NONE
-from bbq_torchrl.settings import ABOVE_ZERO_TO_ONE, PROBABILITY, USERS, Allowed, check, optional
+from bbq_torchrl.settings import (
+    ABOVE_ZERO_TO_ONE,
+    PROBABILITY,
+    USERS,
+    Allowed,
+    check,
+    check_values,
+    filled,
+    optional,
+    setting,
+)
 from bbq_torchrl.simulator.choices import index_below, rows
 from bbq_torchrl.utils.text import shown
 
@@ -41,6 +51,7 @@ _RANGE = optional(
     ),
     "as in the paper",
 )
+_KEYS = Allowed("a mapping of keys", lambda value: isinstance(value, Mapping))
 _RATES = Allowed(
     "a mapping from slots to probabilities",
     lambda value: isinstance(value, Mapping) and all(map(PROBABILITY.test, value.values())),
@@ -73,29 +84,20 @@ class Profile:
         ValueError: if a value is not allowed.
     """
 
-    share: float = 1.0
-    patience: Sequence[int] | None = None
-    bears: Sequence[int] | None = None
-    tells: Sequence[int] | None = None
-    insists: float = 0.0
-    asks_late: float = 0.0
-    confirms: float = 0.0
-    changes_mind: float = 0.0
-    withholds: float = 0.0
-    explains: float = 0.0
-    slot_error_prob: Mapping[str, float] = field(default_factory=dict)
+    share: float = setting(1.0, ABOVE_ZERO_TO_ONE, "share of the dialogues")
+    patience: Sequence[int] | None = setting(None, _RANGE, "turns after which it leaves")
+    bears: Sequence[int] | None = setting(None, _RANGE, "ignored questions after which it leaves")
+    tells: Sequence[int] | None = setting(None, _RANGE, "constraints told in a turn")
+    insists: float = setting(0.0, PROBABILITY, "repeats a question until it is answered")
+    asks_late: float = setting(0.0, PROBABILITY, "asks after the offer")
+    confirms: float = setting(0.0, PROBABILITY, "says yes to what it has told")
+    changes_mind: float = setting(0.0, PROBABILITY, "replaces a constraint")
+    withholds: float = setting(0.0, PROBABILITY, "denies without the right value")
+    explains: float = setting(0.0, PROBABILITY, "tells the right values when it denies an offer")
+    slot_error_prob: Mapping[str, float] = setting({}, _RATES, "errors by slot")
 
     def __post_init__(self) -> None:
-        check("share", self.share, ABOVE_ZERO_TO_ONE)
-        check("patience", self.patience, _RANGE)
-        check("bears", self.bears, _RANGE)
-        check("tells", self.tells, _RANGE)
-        for habit in HABITS:
-            check(habit, getattr(self, habit), PROBABILITY)
-        check("slot_error_prob", self.slot_error_prob, _RATES)
-
-
-_KEYS = tuple(item.name for item in fields(Profile))
+        check_values(self)
 
 
 def _people(share: float, tells: tuple[int, int], patience: tuple[int, int]) -> Profile:
@@ -161,15 +163,7 @@ def profiles_of(users: Users) -> tuple[Profile, ...]:
 def _profile(name: str, keys: Mapping[str, Any] | Profile) -> Profile:
     if isinstance(keys, Profile):
         return keys
-    if not isinstance(keys, Mapping):
-        raise ValueError(f"{name} must be a mapping of keys, got {shown(keys)}")
-    for key in keys:
-        if key not in _KEYS:
-            raise ValueError(f"{name} has no key {shown(key)}; the keys are {', '.join(_KEYS)}")
-    try:
-        return Profile(**keys)
-    except ValueError as error:
-        raise ValueError(f"{name}.{error}") from error
+    return filled(Profile, check(name, keys, _KEYS), f"{name}.")
 
 
 def check_slots(profiles: Sequence[Profile], slots: Collection[str]) -> None:

@@ -332,17 +332,6 @@ class Simulator:
             reply["user_act"], reply["meant_informs"], reply["pending"], error_prob=rates
         )
 
-    def play(
-        self,
-        state: TensorDictBase,
-        action: torch.Tensor,
-        draws: TensorDictBase,
-        active: torch.Tensor,
-    ) -> tuple[TensorDict, torch.Tensor]:
-        """Plays one turn, as :meth:`turn`. Returns the next state and its features."""
-        after = self.turn(state, action, draws, active)
-        return after, self.observe(after, active)
-
     def observe(self, state: TensorDictBase, active: torch.Tensor) -> torch.Tensor:
         """Returns the features of the states, float32 ``[*B, F]``.
 

@@ -42,15 +42,7 @@ class Transcript:
 
         Args:
             state: the state of one dialogue, batch size ``[]``.
-
-        Raises:
-            ValueError: if the state has several dialogues.
         """
-        if state.batch_size:
-            raise ValueError(
-                f"a transcript is of one dialogue: the state must have batch size [], "
-                f"got {list(state.batch_size)}"
-            )
         user = f"user: {self.user(state)}"
         if int(state["agent_act"]) < 0:
             return [user]

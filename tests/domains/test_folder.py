@@ -12,9 +12,9 @@ from hypothesis import assume, given, settings, strategies as st
 
 from bbq_torchrl.domains import Goal, load_domain, save_data
 from bbq_torchrl.domains.values import misspellings, plain
-from bbq_torchrl.envs.measured import load_errors
 from bbq_torchrl.people.language.phrases import load_phrases
 from bbq_torchrl.people.language.training_lines import lines_of
+from bbq_torchrl.simulator.measured_errors import load_errors
 
 CSV, GOALS, VALUES, YAML = "knowledge_base.csv", "goals.jsonl", "values.json", "domain.yaml"
 

