@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING
 
 import yaml
 
-from bbq_torchrl.evaluation import RunResult
-from bbq_torchrl.evaluation.run_result import replica_result, write_json
+from bbq_torchrl.evaluation.run_result import RunResult, replica_result, write_json
 from bbq_torchrl.options.registry import conf_folder
 
 if TYPE_CHECKING:

@@ -51,7 +51,7 @@ def test_averages_are_over_what_all_agents_have_finished():
 
 def test_a_level_that_few_seeds_reach_is_censored():
     table = str(page()).split("### movie, errors 0\n")[1]
-    assert "| 40 (3) |" in table
+    assert "| 40 (3 of 5) |" in table
 
 
 def test_what_is_missing_comes_first():

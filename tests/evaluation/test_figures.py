@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
 from unittest.mock import patch
 
@@ -10,11 +11,13 @@ import pytest
 from matplotlib.figure import Figure
 from result_folders import run_result
 
-from bbq_torchrl.evaluation import Metrics
-from bbq_torchrl.evaluation.figures import draw_comparison, draw_families, draw_run, moving_average
+from bbq_torchrl.evaluation.curves import Metrics
+from bbq_torchrl.evaluation.figures import draw_comparison, draw_run, moving_average
 from bbq_torchrl.evaluation.finished_runs import Replica
 from bbq_torchrl.evaluation.groups import Group
 from bbq_torchrl.evaluation.run_result import reference_lines
+from bbq_torchrl.utils.reports import draw_intervals
+from bbq_torchrl.utils.statistics import Estimate
 
 
 @pytest.fixture
@@ -34,7 +37,14 @@ def draw(tmp_path):
 def group(seeds, rounds=30, label="DQN", **columns):
     columns["success_rate"] = np.random.default_rng(seeds).uniform(size=(rounds, seeds))
     result = run_result(np.linspace(0.4, 0.6, seeds).tolist(), rounds=rounds)
-    metrics = Metrics(columns)
+    metrics = Metrics(
+        [
+            {"round": number, "replica": seed, "dialogues": 50}
+            | {name: values[number, seed] for name, values in columns.items()}
+            for number in range(rounds)
+            for seed in range(seeds)
+        ]
+    )
     return Group(label, tuple(Replica(Path(), n, {}, result, metrics) for n in range(seeds)))
 
 
@@ -115,19 +125,18 @@ def test_a_run_with_several_values_has_a_color_for_each(draw, count):
     assert len(set.union(*colors)) == count
 
 
-@pytest.mark.parametrize("evaluated", [{}, {"eval_success_rate": np.full((30, 1), 0.5)}])
-@pytest.mark.parametrize("count", [2, 8, 20])
-def test_the_legend_has_an_entry_for_each_group_and_place_in_the_figure(draw, count, evaluated):
+@pytest.mark.parametrize("count", [2, 20])
+def test_the_legend_has_an_entry_for_each_group_and_place_in_the_figure(draw, count):
     keys = "explore.temperature_init={}, explore.temperature_end={}"
-    names = [f"DQN, {keys.format(n, n / 10)}, agent.dropout=0.25" for n in range(count)]
-    figure = draw(*(group(1, label=name, **evaluated) for name in names))
+    names = [f"DQN, {keys.format(n, n / 10)}" for n in range(count)]
+    figure = draw(*(group(1, label=name) for name in names))
 
     (legend,), (axes,) = figure.legends, figure.axes
     figure.draw_without_rendering()  # a text's size in inches depends on the dots per inch
     for name in names:
         (entry,) = [text for text in labels(figure) if text.startswith(f"{name} (")]
         assert entry.endswith(", final 0.400")
-    assert len(labels(figure)) == count + len(evaluated)
+    assert len(labels(figure)) == count
     box, curves = legend.get_window_extent(), axes.get_tightbbox()
     assert (box.min >= 0).all()
     assert (box.max <= figure.bbox.max).all()
@@ -145,7 +154,7 @@ def test_a_run_of_one_replica_shows_its_raw_rounds(draw):
 
 
 def test_a_comparison_has_a_band_for_five_seeds_and_none_for_fewer():
-    figure = draw_comparison([group(5, label="BBQN"), group(4)], title="both")
+    figure = draw_comparison({"": [group(5, label="BBQN"), group(4)]}, title="both")
     (axes,) = figure.axes
     assert len(axes.get_lines()) == 5 + 1 + 4 + 1
     (band,) = axes.collections
@@ -160,24 +169,30 @@ def test_a_comparison_has_a_band_for_five_seeds_and_none_for_fewer():
     ]
 
 
-def test_families_stand_side_by_side_with_what_each_learned_and_the_references():
-    evaluated = np.full((30, 2), np.nan)
-    evaluated[4::5] = 0.5
-    common = group(5, label="BBQN-MAP")
-    other = group(2, label="DQN", eval_success_rate=evaluated, reward=np.full((30, 2), -3.0))
-    families = {"BBQN": [common], "DQN": [common, other]}
-    figure = draw_families(families, title="both", references=BESIDE)
-
-    names = ["training success", "success in evaluation", "training reward"]
-    grid = np.array(figure.axes).reshape(3, 2)
-    assert [axes.get_ylabel() for axes in grid[:, 0]] == names
-    assert [axes.get_title() for axes in grid[0]] == ["BBQN", "DQN"]
-    # Five seeds and their mean; two others and theirs; the references where there is a rate.
-    assert [len(axes.get_lines()) for axes in grid[0]] == [6 + 2, 6 + 3 + 2]
-    assert [len(axes.get_lines()) for axes in grid[1]] == [2, 3 + 2]
-    assert [len(axes.get_lines()) for axes in grid[2]] == [0, 3]
-    colors = [axes.get_lines()[5].get_color() for axes in grid[0]]
-    assert colors[0] == colors[1] != grid[0, 1].get_lines()[8].get_color()
-    shown = [[text.get_text() for text in axes.get_legend().get_texts()] for axes in grid[2]]
+def test_panels_stand_side_by_side_with_legends_of_their_own_and_the_references():
+    common, other = group(5, label="BBQN-MAP"), group(2, label="DQN")
+    panels = {"BBQN": [common], "DQN": [common, other]}
+    figure = draw_comparison(panels, title="both", references=BESIDE)
+    assert [axes.get_title() for axes in figure.axes] == ["BBQN", "DQN"]
+    # Five seeds and their mean; two others and theirs; the references.
+    assert [len(axes.get_lines()) for axes in figure.axes] == [6 + 2, 6 + 3 + 2]
+    colors = [axes.get_lines()[5].get_color() for axes in figure.axes]
+    assert colors[0] == colors[1] != figure.axes[1].get_lines()[8].get_color()
+    shown = [[text.get_text() for text in axes.get_legend().get_texts()] for axes in figure.axes]
     seeds = ["BBQN-MAP (5 seeds, mean of 10 rounds)", "DQN (2 seeds, mean of 10 rounds)"]
     assert shown == [[seeds[0], *LINES], [*seeds, *LINES]]
+    assert not figure.legends
+
+
+def test_intervals_are_drawn_row_by_row_with_gaps_for_missing_values():
+    panels = {
+        "success": {"DQN": Estimate(0.5, 0.4, 0.7), "BBQN": Estimate(0.6)},
+        "rating": {"DQN": Estimate(math.nan)},
+    }
+    success, rating = draw_intervals(panels, title="both").axes
+    assert [label.get_text() for label in success.get_yticklabels()] == ["DQN", "BBQN"]
+    ends = [bar.get_segments()[0][:, 0].tolist() for bar in success.collections[:1]]
+    assert ends == [[0.4, 0.7]]
+    first, *_ = success.get_lines()
+    assert (first.get_xdata().tolist(), first.get_ydata().tolist()) == ([0.5], [0])
+    assert rating.get_title() == "rating"

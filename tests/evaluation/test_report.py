@@ -1,4 +1,4 @@
-"""Runs are found, and a report on them is written in every form."""
+"""Runs are found, compared with the first of them, and reported."""
 
 from __future__ import annotations
 
@@ -9,23 +9,27 @@ from result_folders import metrics_text
 from scipy import stats
 from tiny import rows
 
-from bbq_torchrl.evaluation import estimate, estimate_iqm, interquartile_mean
-from bbq_torchrl.evaluation.comparison import comparison_report, success_table
-from bbq_torchrl.evaluation.finished_runs import find_results, find_unfinished
+from bbq_torchrl.evaluation.compare_runs import PAPER, pair_parts, success_row
+from bbq_torchrl.evaluation.finished_runs import find_runs
 from bbq_torchrl.evaluation.groups import read_groups
+from bbq_torchrl.utils.reports import Table
+from bbq_torchrl.utils.statistics import estimate, estimate_iqm, interquartile_mean
 
 GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]
 BAD = [0.50, 0.40, 0.60, 0.55, 0.45]
+SAME = [0.71, 0.79, 0.75, 0.73, 0.77]
 
 
-def test_results_are_found_once_in_the_order_of_their_numbers(add, tmp_path):
+def test_runs_are_found_once_in_the_order_of_places_and_numbers(add, tmp_path):
     folders = [add([0.5], name) for name in ("2_dqn", "5²", "10_bbqn")]
     folders.append(add([0.5], "sweep/deeper/1", seed=1))
-    found = find_results([tmp_path / "runs", folders[0], folders[3]])
+    found, _ = find_runs([tmp_path / "runs", folders[0], folders[3]])
     assert found == [folder.resolve() for folder in folders]
+    found, _ = find_runs([folders[2], tmp_path / "runs"])
+    assert found[:2] == [folders[2].resolve(), folders[0].resolve()]
 
 
-def test_runs_without_a_result_are_named_wherever_they_stand(add, tmp_path):
+def test_runs_without_a_result_are_told_apart_wherever_they_stand(add, tmp_path):
     finished = add([0.5], "1")
     stopped, failed, waiting = (add([0.5], name, seed=1) for name in ("2", "3", "10"))
     for folder in (stopped, failed, waiting):
@@ -34,81 +38,99 @@ def test_runs_without_a_result_are_named_wherever_they_stand(add, tmp_path):
     (waiting / "metrics.csv").unlink()
     (waiting / ".hydra").mkdir()
     (waiting / "config.yaml").rename(waiting / ".hydra" / "config.yaml")
-    left_out = [folder.resolve() for folder in (stopped, failed, waiting)]
     for other in (finished / "wandb" / "files", tmp_path / "other" / ".hydra"):
         other.mkdir(parents=True)
         (other / "config.yaml").write_text("lr: 1")  # of another program
+    left_out = [folder.resolve() for folder in (stopped, failed, waiting)]
     for places in ([tmp_path], [finished, stopped, failed, waiting]):
-        assert find_results(places) == [finished.resolve()]
-        assert find_unfinished(places) == left_out
-    with pytest.raises(ValueError, match=r"holds no finished run: no result\.json is in or below"):
-        find_results([stopped])
+        assert find_runs(places) == ([finished.resolve()], left_out)
     (tmp_path / "empty").mkdir()
-    with pytest.raises(ValueError, match="empty holds no finished run"):
-        find_results([finished, tmp_path / "empty"])
+    for places in ([stopped], [finished, tmp_path / "empty"], [tmp_path / "other"]):
+        with pytest.raises(ValueError, match="run"):
+            find_runs(places)
 
 
-def test_a_table_has_the_statistics_of_each_group_and_its_csv_all_digits(add, tmp_path):
+def test_a_row_has_the_statistics_of_its_group_and_its_csv_all_digits(add, tmp_path):
     runs = [add(GOOD), add(BAD[:3], agent="dqn"), add(BAD[:1], agent="dqn", noisy=True)]
-    table = success_table(read_groups(runs))
+    table = Table("report", [success_row(group) for group in read_groups(runs)], words=2)
     low, high = stats.t.interval(0.95, 4, sum(GOOD) / 5, stats.sem(GOOD))
     row = str(table).splitlines()[2]
-    assert row.startswith("| BBQN-MAP | thompson | 5 | 3 | ")
-    assert f"| 0.750 [{low:.3f}, {high:.3f}] | {estimate_iqm(GOOD)} |" in row
-    assert row.endswith(f"| {estimate([rate / 2 for rate in GOOD])} | 10.00 | 8.00 |")
+    numbers = (
+        f"0.750 [{low:.3f}, {high:.3f}] | {estimate_iqm(GOOD)} | {PAPER['full']['BBQN-MAP'][0]}"
+    )
+    assert row.startswith(f"| BBQN-MAP | thompson | 5 | 3 | {numbers} | 10.00 | 10.71 | 8.00 | ")
+    assert f"| {estimate([rate / 2 for rate in GOOD])} |" in row
     table.write(tmp_path)
     five, three, one = rows(tmp_path / "report.csv")
     assert float(five["final_success_low"]) == pytest.approx(low)
-    assert float(five["cumulative_training_success"]) == pytest.approx(sum(GOOD) / 10)
+    assert float(five["cumulative"]) == pytest.approx(sum(GOOD) / 10)
     # Few seeds have no bootstrap interval, and one has none at all.
     assert float(three["iqm"]) == pytest.approx(interquartile_mean(BAD[:3]))
     assert three["iqm_low"] == one["final_success_low"] == ""
     assert float(three["final_success_low"]) < 0.5 == float(one["final_success"])
 
 
-TABLE1 = {f"table1_{env}{end}" for env in ("full", "domain_ext") for end in ("", "_pairs")}
-GRID = {
-    f"grid_{quantity}{end}" for quantity in ("final", "cumulative") for end in ("", "_by_learner")
-}
+def test_all_others_are_compared_with_the_first_by_pairs_and_holms_p(add):
+    dqn = {"agent": "dqn", "explore": "epsilon_greedy"}
+    runs = [add(GOOD), add(BAD, **dqn), add(SAME, changes={"spike.dialogues": 20})]
+    table, remark = pair_parts(read_groups(runs))
+    (worse, same) = table.rows
+    assert (worse["minus BBQN-MAP"], worse["pairs"]) == ("DQN", 5)
+    assert same["minus BBQN-MAP"] == "BBQN-MAP, spike.dialogues=20"
+    interval = stats.ttest_rel(BAD, GOOD).confidence_interval()
+    assert (worse["final success"].low, worse["final success"].high) == pytest.approx(interval)
+    raw = [stats.ttest_rel(other, GOOD).pvalue for other in (BAD, SAME)]
+    assert worse["final success: p"] == pytest.approx(2 * raw[0])  # the smaller of two
+    assert same["final success: p"] == pytest.approx(max(raw[1], 2 * raw[0]))
+    assert worse["evaluated"] == worse["booked after 1,000"] == "–"
+    assert "spike.dialogues (20, 100)" in remark
 
 
-@pytest.mark.parametrize(
-    ("form", "setting", "tables", "figure"),
-    [
-        ("report", {"agent": "dqn"}, {"report", "pairs", "learning"}, "curves"),
-        ("table1", {"agent": "dqn"}, TABLE1, "table1_full"),
-        ("grid", {"explore": "greedy"}, GRID, "grid"),
-        ("ablations", {"prior_std": 0.3}, {"ablations_agent.prior_std"}, "ablations"),
-    ],
-)
-def test_a_report_is_written_as_markdown_csv_png_and_svg(
-    add, report, tmp_path, form, setting, tables, figure
-):
-    add(GOOD)
-    add(GOOD, **setting)
+def test_a_report_is_printed_and_written_in_sections_of_a_key(add, report, tmp_path):
+    for env in ("full", "domain_ext"):
+        add(GOOD, changes={"env.name": env})
+        add(GOOD, agent="dqn", changes={"env.name": env})
     out = tmp_path / "report"
-    printed = report(*([] if form == "report" else [f"--{form}"]), "--out", str(out))
-    text = (out / f"{form}.md").read_text()
+    printed = report("--by", "env.name", "--out", str(out))
+    full, extension = printed.split("## env.name=")[1:]
+    assert full.startswith("full\n\n| agent |")
+    assert extension.count("| DQN |") == full.count("| DQN |") == 2
+    text = (out / "report.md").read_text()
     assert text.startswith(printed)
-    assert f"]({figure}.png)" in text
-    assert {file.stem for file in out.glob("*.csv")} == {*tables, "replicas"}
-    assert len(rows(out / "replicas.csv")) == 10
-    for kind, start in (("png", b"\x89PNG"), ("svg", b"<?xml")):
-        (picture,) = out.glob(f"*.{kind}")
-        assert picture.stem == figure
-        assert picture.read_bytes().startswith(start)
+    assert "](curves.png)" in text
+    assert {file.name for file in out.iterdir()} == {
+        *(
+            f"{name}_env.name_{env}.csv"
+            for name in ("report", "pairs")
+            for env in ("full", "domain_ext")
+        ),
+        *(f"{name}.{kind}" for name in ("curves", "success") for kind in ("png", "svg")),
+        *("report.md", "replicas.csv"),
+    }
+    assert (out / "curves.png").read_bytes().startswith(b"\x89PNG")
+    replicas = rows(out / "replicas.csv")
+    assert len(replicas) == 20
+    assert (
+        replicas[0].items()
+        >= {
+            **{"corpus": "movie", "env": "full", "replica": "0", "seed": "0", "rounds": "3"},
+            **{
+                "success_rate": "0.7",
+                "reward": "10.0",
+                "turns": "8.0",
+                "cumulative_success": "0.35",
+            },
+            **{"updates": "", "rounds_to_60": "", "commit": "unknown"},
+        }.items()
+    )
+    assert "env.names" in report("--by", "env.names", code=2)
 
 
 def test_one_setting_has_no_pairs_and_none_of_an_earlier_report_stay(add, report, tmp_path):
     add(GOOD)
     (tmp_path / "pairs.csv").write_text("of another report")
-    assert "pairs" not in report("--out", str(tmp_path))
+    assert "minus BBQN-MAP" not in report("--out", str(tmp_path))
     assert not (tmp_path / "pairs.csv").exists()
-
-
-def test_a_figure_holds_seven_groups_and_the_next_one_the_rest(add):
-    runs = [add([0.5], lr=0.1 * (n + 1)) for n in range(8)]
-    assert list(comparison_report(read_groups(runs)).figures) == ["curves", "curves_2"]
 
 
 @pytest.mark.parametrize("state", ["killed", "extended"])
@@ -121,33 +143,17 @@ def test_a_run_that_is_not_finished_is_named_and_breaks_no_report(add, report, s
         folder = add(GOOD, seed=1, changes={"protocol.rounds": 5})
         (folder / "metrics.csv").write_text(metrics_text(GOOD, rounds=4))
     text = report()
-    assert f"\n\nLeft out, since not finished: {folder}.\n\n| agent |" in text
+    assert str(folder) in text.split("\n\n| agent |")[0]
     assert "| BBQN-MAP | thompson | 5 |" in text
 
 
-def ran_by(folder, commit, *, clean):
-    """Says in a result which commit made it. Returns the folder."""
-    file = folder / "result.json"
-    file.write_text(json.dumps(json.loads(file.read_text()) | {"commit": commit, "clean": clean}))
-    return folder
-
-
-def test_a_report_says_which_commits_the_runs_are_of(add, report, tmp_path):
+def test_a_report_says_which_commits_the_runs_are_of(add, report):
     one, other = "c33954a" + 33 * "0", "5b76220" + 33 * "1"
-    assert "commit" not in report(runs=[add(GOOD, name="older")])
-    bbqn, again = (ran_by(add(GOOD, seed=seed), one, clean=True) for seed in (1, 2))
-    text = report(runs=[bbqn, again])
-    assert "All runs are of commit c33954a." in text
-    assert "| turns | commit |" in text
-    assert "| 8.00 | c33954a |" in text
-    dqn = ran_by(add(BAD, agent="dqn"), other, clean=False)
-    text = report("--out", str(tmp_path / "out"), runs=[bbqn, again, dqn])
-    assert text.endswith(
-        "The runs are of different commits:\n\n- c33954a: BBQN-MAP\n- 5b76220 (changed): DQN\n"
-    )
-    kept = rows(tmp_path / "out" / "replicas.csv")
-    assert [row["commit"] for row in kept] == ["c33954a"] * 10 + ["5b76220 (changed)"] * 5
-    for form in ("--table1", "--grid"):
-        assert "different commits:\n\n- c33954a: " in report(form, runs=[bbqn, dqn])
-    mixed = report(runs=[bbqn, add(GOOD, seed=3)])
-    assert mixed.endswith("All have runs of several commits: c33954a; unknown.\n")
+    runs = [add(GOOD), add(GOOD, seed=1), add(BAD, agent="dqn")]
+    assert "c33954a" not in report()
+    for folder, commit in zip(runs, (one, None, other), strict=True):
+        file = folder / "result.json"
+        of_commit = {"commit": commit, "clean": commit == one}
+        file.write_text(json.dumps(json.loads(file.read_text()) | of_commit))
+    text = report()
+    assert text.endswith("- c33954a and unknown: BBQN-MAP\n- 5b76220 (changed): DQN\n")

@@ -9,7 +9,7 @@ import pytest
 import torch
 from tiny import rows
 
-from bbq_torchrl.evaluation import read_metrics
+from bbq_torchrl.evaluation.curves import read_metrics
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import build_trainer
 
