@@ -138,7 +138,7 @@ def draw_chat(file: Path) -> None:
     from bbq_torchrl.people.chat.terminal import Chat
     from bbq_torchrl.people.dialogue.judge import choose_goal
     from bbq_torchrl.people.language import Generator, load_phrases
-    from bbq_torchrl.people.language.cache import cached_understander
+    from bbq_torchrl.people.language.understander import cached_understander
 
     torch.set_num_threads(1)
     agent = TrainedAgent(AGENT)

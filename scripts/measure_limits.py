@@ -15,9 +15,8 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.domains.frames import ANY, Frame
 from bbq_torchrl.people.language import Understander, read_lines
-from bbq_torchrl.people.language.cache import cached_understander
 from bbq_torchrl.people.language.measure import VOICES
-from bbq_torchrl.people.language.understander import keys_of
+from bbq_torchrl.people.language.understander import cached_understander, keys_of
 from bbq_torchrl.people.language.words import compact, is_farewell
 from bbq_torchrl.utils import output
 

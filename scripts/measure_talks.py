@@ -23,7 +23,7 @@ from bbq_torchrl.people.dialogue.partner import Partner
 from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.dialogue.trained_agent import TrainedAgent
 from bbq_torchrl.people.language import Generator, load_phrases
-from bbq_torchrl.people.language.cache import cached_understander
+from bbq_torchrl.people.language.understander import cached_understander
 from bbq_torchrl.utils import output
 
 RESULT = Path(__file__).parents[1] / "results" / "talks.csv"

@@ -20,7 +20,7 @@ from bbq_torchrl.envs.dialogue import DialogueEnv
 from bbq_torchrl.envs.policies import scripted_policy
 from bbq_torchrl.people.language import Frame, Generator, TextError, Understood
 from bbq_torchrl.people.language.asking import Asking, repeated
-from bbq_torchrl.people.language.cache import cached_understander
+from bbq_torchrl.people.language.understander import cached_understander
 from bbq_torchrl.simulator import Utterance
 from bbq_torchrl.simulator.choices import index_below
 from bbq_torchrl.simulator.measured_errors import ERRORS_FILE, ErrorCounter

@@ -12,7 +12,7 @@ import yaml
 
 from bbq_torchrl.domains.frames import ANY
 from bbq_torchrl.domains.values import RESERVED_TEXT
-from bbq_torchrl.people.language.words import UNITS
+from bbq_torchrl.people.language.quantities import UNITS
 
 if TYPE_CHECKING:
     from collections.abc import Mapping

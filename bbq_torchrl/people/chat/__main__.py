@@ -55,8 +55,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Understander,
         load_phrases,
     )
-    from bbq_torchrl.people.language.cache import cached_understander
     from bbq_torchrl.people.language.phrases import GENERIC, has_own_phrases
+    from bbq_torchrl.people.language.understander import cached_understander
 
     torch.set_num_threads(1)
     screen = console()

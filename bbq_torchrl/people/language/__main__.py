@@ -19,6 +19,7 @@ import torch
 
 from bbq_torchrl.domains import load_domain
 from bbq_torchrl.domains.folder import MOVIE_FOLDER
+from bbq_torchrl.people.language.corpus import play
 from bbq_torchrl.people.language.generator import Generator
 from bbq_torchrl.people.language.measure import (
     labeled_files,
@@ -26,7 +27,6 @@ from bbq_torchrl.people.language.measure import (
     measure_own,
     measure_round_trip,
 )
-from bbq_torchrl.people.language.simulated import play
 from bbq_torchrl.people.language.training_lines import read_lines
 from bbq_torchrl.people.language.understander import SENTENCES, Understander
 from bbq_torchrl.utils import output

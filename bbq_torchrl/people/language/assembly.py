@@ -1,49 +1,92 @@
-"""From a reading to a frame: short answers, and the most likely act and questions."""
+"""From a reading to a frame: the values that are named, and the likeliest act and questions."""
 
 from __future__ import annotations
 
 import math
 import re
-from dataclasses import replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
+
+import torch
 
 from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT, Frame
 from bbq_torchrl.people.language.asking import OPENING, Unclear, asked_slot
-from bbq_torchrl.people.language.learners import OUTSIDE
-from bbq_torchrl.people.language.mentions import LONGEST, SHORT, values_of
-from bbq_torchrl.people.language.party_size import counted
+from bbq_torchrl.people.language.quantities import COUNT_WORDS
 from bbq_torchrl.people.language.words import (
-    COUNT_WORDS,
     ENGLISH,
-    NUMBER_WORDS,
+    OUTSIDE,
     POLITE,
+    Span,
     compact,
+    spans_of,
+    word_set,
 )
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
+    from collections.abc import Iterator, Sequence
 
-    from bbq_torchrl.people.language.lexicon import Lexicon
+    from bbq_torchrl.people.language.lexicon import Lexicon, Link
     from bbq_torchrl.people.language.model import Reading
+
+_LONGEST = 8  # words of a name
+_SHORT = 4  # words of an answer that may be just a name
+_LEAST_LETTERS = 4  # "ok" is Oklahoma only if it is tagged so
+_FAINT = 0.1  # of a don't-care
+_DOUBTFUL = 0.8  # of limits/crowded_dev.txt .019 of the values are dropped; at .5 it is .035
 
 _PLACES = ("first former 1st 1 one", "second 2nd 2 two", "third 3rd 3", "fourth 4")
 _ORDER = {word: at for at, words in enumerate(_PLACES) for word in words.split()}
 _ORDER |= {"last": -1, "latter": -1}
-_COUNTS = NUMBER_WORDS | frozenset("me i with alone myself couple pair both dozen".split())
-_SURE = 0.95
-_ALSO = 0.7  # "what is there in the evening?" tells the time and asks for it
-_RATHER = 0.1
-_FAINT = 0.3
-_FOREIGN = 0.5
-_PLAINLY = math.log(0.75)
-_LEAST_LETTERS = 4
-_NAME = 5  # words of an answer that names no known value
-_ABOUT_VALUES = ("inform", "request", "confirm_question")
-_NOT = frozenset(("not", "no", "except"))
-_ANY = frozenset(("any", "anything", "whatever", "either"))
-_ENDS = frozenset((".", "!", "please", "really"))
-_ANY_OF = [re.compile(pattern.replace("<name>", "(.+?)")) for pattern in ENGLISH["any_of"]]
-_YES = frozenset("yes yeah yep yup right correct sure exactly ok okay indeed true y".split())
+_CORRECTS = word_set("corrects")
+_ANY_OF = [re.compile(pattern) for pattern in ENGLISH["any_of"]]
+
+_CLAUSE = re.compile(r"[^\w' ]")  # a mark that ends a clause
+_MAX_BEFORE, _MAX_AFTER = 8, 6  # words
+_DENIED_BEFORE, _DENIED_AFTER = (
+    [re.compile(pattern.replace("<gap>", ENGLISH["denial_gap"])) for pattern in ENGLISH[name]]
+    for name in ("denied_before", "denied_after")
+)
+_NO = re.compile(ENGLISH["denied_by_no"])
+
+
+def assemble(
+    words: Sequence[str], reading: Reading, question: Frame, lexicon: Lexicon
+) -> tuple[Frame, tuple[Unclear, ...], float]:
+    """Returns the frame of a reading, the unclear words, and the log-probability of the frame.
+
+    Args:
+        words: the words of the sentence.
+        reading: the output of the learned parts.
+        question: the agent's last act.
+        lexicon: the domain's values.
+    """
+    asked = asked_slot(question)
+    if asked is not None and NO_MATCH_TEXT in " ".join(words):
+        # Simulated users repeat that the agent found no match.
+        return Frame("inform", {asked: NO_MATCH_TEXT}), (), 0.0
+    if (choice := chosen(words, question, lexicon)) is not None:
+        return Frame("inform", {question.requests[0]: choice}), (), 0.0
+    act = lexicon.domain.acts[int(reading.acts.argmax())]
+    spans = spans_of(reading.tags)
+    if asked in lexicon.slots and len(words) <= _SHORT and "?" not in words:
+        if lexicon.link(asked, " ".join(words)).is_exact:
+            spans = [Span(asked, 0, len(words))]  # "LA" is the city or the state asked for.
+    if act != "closing":  # "Not today then, bye."
+        is_bare = act == "inform" and not spans  # though it must name something
+        spans += _missed(words, reading, asked, is_bare, lexicon)
+        spans.sort(key=lambda span: span.start)
+    informs, unclear = values_of(words, spans, question, lexicon)
+    sure = math.log(max(reading.tags_chance, 1e-9)) + math.log(max(1 - reading.foreign, 1e-9))
+    if not (informs or unclear):
+        if reading.foreign > 0.5:
+            act = "not_sure" if "not_sure" in lexicon.domain.acts else "inform"
+            return Frame(act), (), sure
+        name = " ".join(word for word in words if word not in POLITE)
+        is_silent = max(reading.dont_care.max(), reading.requests.max()) < 0.5
+        can_name = len(words) <= _SHORT and lexicon.kinds.get(asked or "") == "text"
+        if asked and name and act == "inform" and is_silent and can_name:
+            unclear = (Unclear(asked, name),)  # an answer of unknown words is an unknown name
+    frame, chance = _likeliest(words, reading, question, lexicon, informs, unclear)
+    return frame, unclear, sure + chance
 
 
 def chosen(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | None:
@@ -57,10 +100,6 @@ def chosen(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | Non
     if not question.choices:
         return None
     slot, choices = question.requests[0], question.choices
-    text = " ".join(words)
-    named = [v for v in choices if re.search(rf"(^|\W){re.escape(v.lower())}(\W|$)", text)]
-    if len(named) == 1:
-        return named[0]
     clocks = {lexicon.key(slot, value)[-5:]: value for value in choices}
     # Only keys such as "at 19:30" and "after 18:00" can be ordered.
     if lexicon.kinds.get(slot) == "time" and all(clock[2:3] == ":" for clock in clocks):
@@ -68,12 +107,12 @@ def chosen(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | Non
             return clocks[max(clocks)]
         if "earlier" in words or "earliest" in words:
             return clocks[min(clocks)]
-    # Words that some choices have and others do not: "the downtown one".
-    own = {value: {compact(part) for part in value.split()} for value in choices}
+    # Words that one choice has more of than the others: "the downtown one".
     said = {compact(word) for word in words} - {"one", "the"}
-    hits = {value: len(parts & said) for value, parts in own.items()}
-    best = [value for value, count in hits.items() if count and count == max(hits.values())]
-    if len(best) == 1:
+    shared = {value: len(said & {*map(compact, value.split())}) for value in choices}
+    most = max(shared.values())
+    best = [value for value in choices if shared[value] == most]
+    if most and len(best) == 1:
         return best[0]
     for word in words:
         at = _ORDER.get(word)
@@ -84,185 +123,221 @@ def chosen(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | Non
     return None
 
 
-def assemble(
-    words: Sequence[str],
-    reading: Reading,
-    question: Frame,
-    lexicon: Lexicon,
-) -> tuple[Frame, tuple[Unclear, ...]]:
-    """Returns the frame of a reading, and the unclear words.
+def is_denied(words: Sequence[str], start: int, end: int, *, is_first: bool = True) -> bool:
+    """Returns whether the words around a name reject it.
+
+    After another name of its slot, and before a number, a "no" retracts what was said before.
 
     Args:
         words: the words of the sentence.
-        reading: the output of the learned parts.
+        start: the first word of the name.
+        end: the word after its last.
+        is_first: whether no other name of its slot precedes it.
+    """
+    before = _CLAUSE.split(" ".join(words[max(start - _MAX_BEFORE, 0) : start]))[-1].strip()
+    after = _CLAUSE.split(" ".join(words[end : end + _MAX_AFTER]))[0].strip()
+    if words[end - 1].endswith("'s"):
+        after = f"'s {after}"  # "Friday's no good"
+    says_no = is_first and not any(map(str.isdigit, "".join(words[start:end])))
+    return (
+        (says_no and _NO.search(before) is not None)
+        or any(pattern.search(before) for pattern in _DENIED_BEFORE)
+        or any(pattern.search(after) for pattern in _DENIED_AFTER)
+    )
+
+
+def _missed(
+    words: Sequence[str], reading: Reading, asked: str | None, is_bare: bool, lexicon: Lexicon
+) -> list[Span]:
+    """Returns full names that the tagger passed over.
+
+    They are denied, in words that it is unsure about, or anywhere in a sentence that is ``is_bare``
+    of values, in which ``asked`` is the slot of what several slots have.
+    """
+    found: list[Span] = []
+    tags = list(reading.tags)
+    for size in range(min(_LONGEST, len(words)), 0, -1):
+        for start in range(len(words) - size + 1):
+            end = start + size
+            name = " ".join(words[start:end])
+            slot = lexicon.only_slot(name)
+            if is_bare and asked in lexicon.slots and lexicon.link(asked, name).is_exact:
+                slot = asked
+            has_edges = compact(words[start]) and compact(words[end - 1])
+            if slot is None or {*tags[start:end]} != {OUTSIDE} or not has_edges or name in POLITE:
+                continue
+            kind = lexicon.kinds[slot]
+            is_short = kind == "text" and len(name) < _LEAST_LETTERS
+            if is_short or (kind == "count" and slot != asked):
+                continue
+            is_doubtful = min(reading.each_chance[start:end]) < _DOUBTFUL
+            if (
+                is_bare
+                or is_denied(words, start, end)
+                or (is_doubtful and slot not in reading.tags)
+            ):
+                found.append(Span(slot, start, end))
+                tags[start:end] = [slot] * size
+    return found
+
+
+class _Mention(NamedTuple):
+    """Words that name a value of a slot, and the values that they may mean."""
+
+    text: str
+    link: Link
+    is_denied: bool
+
+
+def _mentions(
+    words: Sequence[str], spans: Sequence[Span], lexicon: Lexicon
+) -> dict[str, list[_Mention]]:
+    """Returns the mentions of each slot, in the order of the sentence."""
+    found: dict[str, list[_Mention]] = {}
+    for slot, start, end in spans:
+        if lexicon.kinds[slot] == "count":
+            start, end = _whole_party(slot, words, start, end, lexicon)
+        text = " ".join(words[start:end])
+        if lexicon.link(slot, text).score < 1.0:
+            # A name in full is of its slot whatever was tagged, and names the value by itself.
+            slot = lexicon.only_slot(text) or slot
+            start, end = _name_within(slot, words, start, end, lexicon)
+            text = " ".join(words[start:end])
+        denied = is_denied(words, start, end, is_first=slot not in found)
+        found.setdefault(slot, []).append(_Mention(text, lexicon.link(slot, text), denied))
+    return found
+
+
+def _name_within(
+    slot: str, words: Sequence[str], start: int, end: int, lexicon: Lexicon
+) -> tuple[int, int]:
+    """Returns the longest full name in a part of the sentence, else the part."""
+    if lexicon.kinds[slot] == "text":
+        for size in range(end - start, 0, -1):
+            for at in range(start, end - size + 1):
+                if lexicon.link(slot, " ".join(words[at : at + size])).is_exact:
+                    return at, at + size
+    return start, end
+
+
+def _whole_party(
+    slot: str, words: Sequence[str], start: int, end: int, lexicon: Lexicon
+) -> tuple[int, int]:
+    """Returns the full extent of a number of people: "with my two" brothers is three."""
+    first, last = start, end
+    while first > 0 and words[first - 1] in COUNT_WORDS:
+        first -= 1
+    while last < len(words) and words[last] in COUNT_WORDS:
+        last += 1
+    for at in range(first, start + 1):
+        for stop in range(last, end - 1, -1):
+            if words[at] != "of" and len(lexicon.link(slot, " ".join(words[at:stop])).values) == 1:
+                return at, stop
+    return start, end
+
+
+def values_of(
+    words: Sequence[str], spans: Sequence[Span], question: Frame, lexicon: Lexicon
+) -> tuple[dict[str, str], tuple[Unclear, ...]]:
+    """Returns the values by slot, and the unclear words.
+
+    Args:
+        words: the words of the sentence.
+        spans: the words that name values, in order.
         question: the agent's last act.
         lexicon: the domain's values.
     """
-    asked = asked_slot(question)
-    if asked is not None and NO_MATCH_TEXT in " ".join(words):
-        # Simulated users repeat that the agent found no match.
-        return Frame("inform", {asked: NO_MATCH_TEXT}), ()
-    offered = chosen(words, question, lexicon)
-    if asked is not None and offered is not None:
-        return Frame("inform", {asked: offered}), ()
-    if (free := _any_of(words, question, lexicon)) is not None:
-        return Frame("inform", {free: ANY}), ()
-    act = lexicon.domain.acts[int(reading.acts.argmax())]
-    reading = replace(reading, tags=counted(words, reading.tags, question, lexicon))
-    informs, unclear = values_of(words, reading, question, lexicon)
-    if reading.foreign > _FOREIGN and not informs:
-        return Frame("not_sure" if "not_sure" in lexicon.domain.acts else "inform"), unclear
-    is_more = act == "request" and "?" in words  # "comedies?" is more than a name
-    is_more |= any(one.is_denied for one in unclear)
-    if not is_more and (short := _short_answer(words, reading, asked, lexicon)) is not None:
-        return Frame("inform", short), ()
-    if not (informs or unclear) and act == "inform" and reading.dont_care.max() < _FAINT:
-        informs = _named(words, asked, lexicon)
-    if (
-        act == "inform"
-        and asked in lexicon.slots
-        and lexicon.kinds[asked] == "text"
-        and not (informs or unclear)
-        and len(words) <= _NAME
-        and max(reading.dont_care.max(), reading.requests.max()) < _FAINT
-        and (name := " ".join(word for word in words if word not in POLITE))
-    ):
-        return Frame("inform"), (Unclear(asked, name),)
-    checked = question.informs if question.act == "confirm_question" else {}
-    if checked and not informs and words[0] in _YES and len(words) <= SHORT:
-        return Frame("inform", dict(checked)), ()
-    is_strange = reading.unknown == 1.0 and not (informs or unclear)
-    if is_strange and act not in _ABOUT_VALUES and asked is not None:
-        # Unknown words answer the question, so they are an unknown name.
-        return Frame("inform"), (Unclear(asked, " ".join(words)),)
-    return _decided(words, reading, question, lexicon, informs, unclear), unclear
+    informs: dict[str, str] = {}
+    unclear: list[Unclear] = []
+    for slot, mentions in _mentions(words, spans, lexicon).items():
+        wanted = [mention for mention in mentions if not mention.is_denied]
+        if not wanted:
+            if slot not in question.informs:
+                unclear.append(Unclear(slot, mentions[-1].text, is_denied=True))
+            continue
+        known = [mention.link for mention in wanted if mention.link.values]
+        if len(known) > 1 and not _CORRECTS.isdisjoint(words):
+            known = known[-1:]
+        keys = {lexicon.key(slot, value): value for link in known for value in link.values}
+        if len(keys) == 1:
+            (informs[slot],) = keys.values()
+        else:
+            unclear.append(Unclear(slot, wanted[-1].text, tuple(keys.values())))
+    return informs, tuple(unclear)
 
 
-def _decided(
+def _likeliest(
     words: Sequence[str],
     reading: Reading,
     question: Frame,
     lexicon: Lexicon,
     told: dict[str, str],
     unclear: tuple[Unclear, ...],
-) -> Frame:
-    """Returns the most likely frame that the labeling guide allows, given the values told."""
+) -> tuple[Frame, float]:
+    """Returns the likeliest frame that the labeling guide allows, and its log-probability."""
+    frames = _allowed(words, reading, question, lexicon, told, unclear)
+    frame, chance = max(frames, key=lambda item: item[1])
+    for chances in (reading.requests, reading.dont_care):
+        chance += float(torch.maximum(chances, 1 - chances).log().sum())
+    return frame, chance
+
+
+def _allowed(
+    words: Sequence[str],
+    reading: Reading,
+    question: Frame,
+    lexicon: Lexicon,
+    told: dict[str, str],
+    unclear: tuple[Unclear, ...],
+) -> Iterator[tuple[Frame, float]]:
+    """Yields the likeliest frame of each act that is allowed.
+
+    With it comes the log-probability, but for that of the likelier outcome for each slot.
+    """
     domain = lexicon.domain
-    asked = dict(zip(domain.slots, reading.requests.tolist(), strict=True))
+    asks = dict(zip(domain.slots, reading.requests.tolist(), strict=True))
     cares = dict(zip(domain.slots, reading.dont_care.tolist(), strict=True))
-    requests = tuple(s for s, chance in asked.items() if chance > (_ALSO if s in told else 0.5))
-    is_known = reading.unknown < 1.0  # Unknown words carry no information.
+    requests = tuple(slot for slot, chance in asks.items() if chance > 0.5)
     denied = {one.slot for one in unclear if one.is_denied}
     open_ = [slot for slot in lexicon.slots if slot not in told and slot not in denied]
-    free = {slot: ANY for slot in open_ if is_known and cares[slot] > 0.5}
-    has_content = bool(told or unclear)
+    free = {slot: ANY for slot in open_ if cares[slot] > 0.5}
+    asked = asked_slot(question)
+    if asked in free and (slot := _named_as_free(words, asked, lexicon)) in open_:
+        free = {slot: ANY}
+    likely_free = max(open_, key=lambda slot: cares[slot], default="")
+    is_silent = not (told or unclear or free) and question != OPENING
     is_offer = domain.complete_slot in question.informs
-    likely = max((s for s in asked if s not in told), key=lambda s: asked[s])
-    is_repeated = all(
-        lexicon.key(s, question.informs.get(s, "")) == lexicon.key(s, told[s]) for s in told
-    )
-    keeps = {"deny", "closing", *(["thanks"] if is_offer else [])}  # may also ask something
-    lost = sum(_odds(asked[slot]) for slot in requests)
-    scores = {}
-    for act, score in zip(domain.acts, reading.acts.tolist(), strict=True):
+    may_ask = {"deny", "closing", *(["thanks"] if is_offer else [])}
+    unasked = sum(_odds(asks[slot]) for slot in requests)
+    for act, chance in zip(domain.acts, reading.acts.tolist(), strict=True):
         if act == "request":
-            score += 0.0 if requests else _odds(asked[likely])
+            likely = max((s for s in asks if s not in told), key=lambda s: asks[s])
+            also = requests or (likely,)
+            yield Frame(act, told | free, also), chance + (0 if requests else _odds(asks[likely]))
+        elif act == "inform" and requests and question == OPENING:
+            continue  # Asking is what it does first.
+        elif act == "inform" and is_silent and cares.get(likely_free, 0.0) > _FAINT:
+            # An answer that names nothing does not care.
+            yield Frame(act, {likely_free: ANY}, requests), chance + _odds(cares[likely_free])
         elif act == "inform":
-            tells = has_content or free or score > _PLAINLY  # "I said that already. And where?"
-            if requests and (question is OPENING or not tells):
-                continue
-        elif has_content and act != "confirm_question":
-            if act not in ("thanks", "deny") or requests or unclear or not is_repeated:
-                continue  # "Nine thirty is fine" alone agrees to nine thirty.
-        elif act not in keeps:
-            score -= lost
-        scores[act] = score
-    act = max(scores, key=lambda name: scores[name])
-    if act in ("thanks", "deny"):
-        told = {}
-    if act == "request":
-        requests = requests or (likely,)
-        if not told and _accepts(words, question, domain.complete_slot):
-            act = "thanks"
-    elif act != "inform" and act not in keeps:
-        requests = ()
-    if act == "inform" and question is not OPENING and not (has_content or free or requests):
-        # An answer that names nothing does not care, if that is at all likely.
-        best = max(lexicon.slots, key=lambda slot: cares[slot])
-        if cares[best] > _RATHER and is_known:
-            free = {best: ANY}
-    return Frame(act, told | free, requests)
+            yield Frame(act, told | free, requests), chance
+        elif act == "confirm_question":
+            yield Frame(act, told | free), chance - unasked
+        elif not (told or unclear):
+            asks_too = act in may_ask
+            yield Frame(act, free, requests if asks_too else ()), chance - unasked * (not asks_too)
+
+
+def _named_as_free(words: Sequence[str], asked: str, lexicon: Lexicon) -> str | None:
+    """Returns the slot of "any time is fine" or "the day does not matter", if not the one asked."""
+    text, own = " ".join(words), lexicon.phrases.slots[asked]
+    nouns = {found[1] for pattern in _ANY_OF for found in pattern.finditer(text)}
+    nouns -= {*own.nouns, *own.name.split()}
+    named = (s for s in lexicon.slots if not nouns.isdisjoint(lexicon.phrases.slots[s].nouns))
+    return next(named, None)
 
 
 def _odds(chance: float) -> float:
     """Returns the log-odds of a probability."""
     chance = min(max(chance, 1e-4), 1 - 1e-4)
     return math.log(chance / (1 - chance))
-
-
-def _short_answer(
-    words: Sequence[str], reading: Reading, slot: str | None, lexicon: Lexicon
-) -> dict[str, str] | None:
-    """Returns the value of the slot asked for, if the words are exactly one of its names."""
-    if slot is None or len(words) > SHORT or words[0] in _NOT:
-        return None
-    if lexicon.kinds.get(slot) == "count" and (
-        "?" in words or not {OUTSIDE, slot}.issuperset(reading.tags)
-    ):
-        return None  # "four, on saturday" has one number, but says more.
-    if slot in lexicon.slots and words[0] in _ANY and len(words) == 1:
-        return {slot: ANY}
-    text = " ".join(words)
-    link = lexicon.link(slot, text) if slot in lexicon.slots else None
-    if link is not None and len(link.values) == 1 and link.score >= _SURE:
-        return {slot: link.values[0]}
-    # "The closest" is not a theater, and its slot is clear without the question.
-    other = lexicon.only_slot(text)
-    if other is None:
-        return None
-    values = lexicon.link(other, text).values  # "-3" has the name of 3, but no value
-    return {other: values[0]} if values else None
-
-
-def _any_of(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | None:
-    """Returns the slot of "any theater is fine", "the day does not matter", or an "any time"."""
-    text = " ".join(word for word in words if word not in _ENDS)
-    said = next((found[1] for pattern in _ANY_OF if (found := pattern.fullmatch(text))), None)
-    if said is None:
-        return None
-    asked = asked_slot(question)
-    is_bare = text.partition(" ")[0] in _ANY and text.endswith(said)
-    if is_bare and asked is None and question.act != "not_sure":
-        return None  # "Any good" after an offer asks something.
-    for slot in lexicon.slots:
-        phrases, kind = lexicon.phrases.slots[slot], lexicon.kinds[slot]
-        if said in (phrases.name, *phrases.nouns) and kind != "count":  # "any tickets"
-            # "Any time" answers "When?" about the day, too.
-            is_when = is_bare and kind == "time" and lexicon.kinds.get(asked or "") == "date"
-            return asked if is_when else slot
-    return None
-
-
-def _named(words: Sequence[str], slot: str | None, lexicon: Lexicon) -> dict[str, str]:
-    """Returns the value of the slot asked for if an answer contains its name or number."""
-    if slot not in lexicon.slots:
-        return {}
-    is_count = lexicon.kinds[slot] == "count"
-    for size in range(min(len(words), LONGEST), 0, -1):
-        for start in range(len(words) - size + 1):
-            own = words[start : start + size]
-            if is_count and not (COUNT_WORDS.issuperset(own) and _COUNTS.intersection(own)):
-                continue  # "depends on my sister" gives no number.
-            name = " ".join(own)
-            if lexicon.kinds[slot] == "text" and len(name) < _LEAST_LETTERS:
-                continue  # "ok" is Oklahoma only if it stands alone.
-            link = lexicon.link(slot, name)
-            if link.is_exact:
-                return {slot: link.values[0]}
-    return {}
-
-
-def _accepts(words: Sequence[str], question: Frame, offer: str) -> bool:
-    """Returns whether a booking was offered and the sentence begins by accepting it."""
-    is_offered = question.informs.get(offer, NO_MATCH_TEXT) != NO_MATCH_TEXT
-    return is_offered and words[0] in _YES

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT, Frame
 from bbq_torchrl.people.language.asking import OPENING, asked_slot
-from bbq_torchrl.people.language.templates import (
+from bbq_torchrl.people.language.phrases import (
     Piece,
     Template,
     choose,

@@ -12,7 +12,7 @@ from bbq_torchrl.domains import fold
 from bbq_torchrl.domains.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Frame
 from bbq_torchrl.people.language.composer import Composer
 from bbq_torchrl.people.language.lexicon import Lexicon
-from bbq_torchrl.people.language.templates import Piece, choose, plain
+from bbq_torchrl.people.language.phrases import Piece, choose, plain
 from bbq_torchrl.people.language.words import pairs, word_set
 
 if TYPE_CHECKING:
@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.people.language.asking import Understood
-    from bbq_torchrl.people.language.templates import Template
+    from bbq_torchrl.people.language.phrases import Template
 
 _MAX_IN_CONFLICT = 4
 _MAX_CHOICES = 5

@@ -7,16 +7,8 @@ import re
 from functools import cache
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.people.language.learners import OUTSIDE
-from bbq_torchrl.people.language.words import (
-    ENGLISH,
-    ORDINALS,
-    TENS,
-    UNITS,
-    compact,
-    pairs,
-    word_set,
-)
+from bbq_torchrl.people.language.quantities import ORDINALS, TENS, UNITS
+from bbq_torchrl.people.language.words import ENGLISH, OUTSIDE, compact, pairs, word_set
 
 if TYPE_CHECKING:
     import random

@@ -6,16 +6,17 @@ from collections import defaultdict
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.people.language.learners import OUTSIDE, spans_of
 from bbq_torchrl.people.language.quantities import (
+    COUNT_WORDS,
     DAY_WORDS,
     MONTH_WORDS,
+    NUMBER_WORDS,
     ORDINAL_WORDS,
     PART_WORDS,
     READERS,
     RELATION_WORDS,
 )
-from bbq_torchrl.people.language.words import COUNT_WORDS, NUMBER_WORDS, compact, word_set
+from bbq_torchrl.people.language.words import OUTSIDE, compact, spans_of, word_set
 from bbq_torchrl.utils.extras import needed
 
 if TYPE_CHECKING:
@@ -80,11 +81,6 @@ class Features:
             if distance(word, other) == 1
         )
         return next(close, UNKNOWN)
-
-    def share_unknown(self, words: Sequence[str]) -> float:
-        """Returns the share of unknown words, after correction."""
-        letters = [word for word in words if word[0].isalpha()]
-        return sum(self.spelled(word) == UNKNOWN for word in letters) / max(len(letters), 1)
 
     def of_words(
         self, words: Sequence[str], question: Frame, capitals: frozenset[str] = frozenset()

@@ -13,14 +13,15 @@ from typing import TYPE_CHECKING, NamedTuple
 from bbq_torchrl.domains.frames import ANY, Frame
 from bbq_torchrl.people.language.asking import FOREIGN, OPENING
 from bbq_torchrl.people.language.corpus import Example, spoiled, tag
-from bbq_torchrl.people.language.learners import OUTSIDE, spans_of
 from bbq_torchrl.people.language.paraphrase import Surfaces
-from bbq_torchrl.people.language.templates import Piece, choose, parse
+from bbq_torchrl.people.language.phrases import Piece, choose, parse
 from bbq_torchrl.people.language.words import (
     ENGLISH,
+    OUTSIDE,
     SMALL,
     capitalized,
     compact,
+    spans_of,
     tokenize,
     words_of,
 )
@@ -40,7 +41,7 @@ _FOREIGN = [parse(text) for text in ENGLISH["foreign"]]
 
 
 def make_foreign(
-    lexicon: Lexicon, others: Sequence[Example], count: int, seed: int, part: slice = slice(None)
+    lexicon: Lexicon, others: Sequence[Example], count: int, seed: int
 ) -> list[Example]:
     """Returns out-of-domain sentences.
 
@@ -49,11 +50,10 @@ def make_foreign(
         others: sentences whose questions half of the result answers.
         count: the number of sentences.
         seed: the seed of all random choices.
-        part: the slice of the phrases to use.
     """
     rng = random.Random(seed)
     surfaces = Surfaces(lexicon)
-    templates = [*_FOREIGN, *lexicon.phrases.user["foreign"]][part]
+    templates = [*_FOREIGN, *lexicon.phrases.user["foreign"]]
     found = []
     for _ in range(count):
         values = {

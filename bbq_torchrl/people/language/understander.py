@@ -1,23 +1,29 @@
-"""From a user's text to a frame with values of the domain."""
+"""From a user's text to a frame with values of the domain; trained once for a domain and cached."""
 
 from __future__ import annotations
 
+import errno
+import hashlib
+import io
+import json
 import math
+import os
+from contextlib import suppress
+from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
+from tqdm import tqdm
 
 from bbq_torchrl.people.language.asking import FOREIGN, OPENING, Understood
 from bbq_torchrl.people.language.assembly import assemble
-from bbq_torchrl.people.language.confidence import CUES, cues_of, fit_confidence, probability
 from bbq_torchrl.people.language.corpus import make_examples, spoiled
-from bbq_torchrl.people.language.learners import EPOCHS, OUTSIDE, IntentNet, Tagger
 from bbq_torchrl.people.language.lexicon import Lexicon
-from bbq_torchrl.people.language.model import Model, fit
-from bbq_torchrl.people.language.model_file import read_model, write_model
-from bbq_torchrl.people.language.paraphrase import DROPPED, Surfaces
+from bbq_torchrl.people.language.model import EPOCHS, IntentNet, Model, Tagger, fit
+from bbq_torchrl.people.language.paraphrase import Surfaces
+from bbq_torchrl.people.language.phrases import LANGUAGE_FILE
 from bbq_torchrl.people.language.sentence_features import Features
 from bbq_torchrl.people.language.training_lines import (
     DRILLED_FILE,
@@ -25,12 +31,14 @@ from bbq_torchrl.people.language.training_lines import (
     as_examples,
     lines_of,
     make_foreign,
+    read_lines,
     varied,
 )
 from bbq_torchrl.people.language.words import capitalized, words_of
+from bbq_torchrl.utils.files import write_bytes
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.domains.frames import Frame
@@ -41,12 +49,12 @@ if TYPE_CHECKING:
 SENTENCES = 7_200
 """The maximum number of people's sentences to learn from."""
 
-THRESHOLD = 0.75
+THRESHOLD = 0.7
 """The confidence below which to ask again: .8 of unseen writers' sentences are above it."""
 
-_STEPS, _BLIND_STEPS = 40, 30  # of the tagger's optimizer
+_STEPS = 40  # of the tagger's optimizer
 
-TICKS = _STEPS + _BLIND_STEPS + 2 * EPOCHS
+TICKS = _STEPS + EPOCHS
 """The maximum number of steps of learning."""
 
 _MAX_WORDS = 120
@@ -57,7 +65,10 @@ _TAGGED = 16  # the tagger learns from one in this many of these
 _COPIES = 4  # of each of people's sentences, with other values, at most
 _UNKNOWN = 4  # one in this many of the grammar's sentences is also learned with other values
 _FOREIGN = 2  # people's sentences to one out-of-domain sentence
-_SHARE = 4  # the smaller model learns from one in this many of the grammar's sentences
+_UNLEARNED = 20  # one in this many of people's sentences only fits the temperature
+_FEWEST = 50  # of them; with fewer, the grammar's sentences fit it
+_TEMPERATURES = np.geomspace(0.5, 20.0, 75)
+_FORMAT = 9
 
 
 class Understander:
@@ -66,7 +77,8 @@ class Understander:
     Args:
         lexicon: the domain's phrases and values.
         model: the learned parts.
-        calibration: weights ``[CUES]`` from cues to the log-odds that a frame is right.
+        temperature: the confidence in a frame is the product of the probabilities of its parts to
+            the power of one over this.
         threshold: the confidence below which the caller should ask again.
 
     Examples:
@@ -80,13 +92,13 @@ class Understander:
         self,
         lexicon: Lexicon,
         model: Model,
-        calibration: Sequence[float] | np.ndarray,
+        temperature: float = 1.0,
         threshold: float = THRESHOLD,
     ) -> None:
         self.domain, self.lexicon = lexicon.domain, lexicon
         self.threshold = threshold
         self._model = model
-        self._calibration = np.array(calibration, dtype=np.float64)
+        self._temperature = temperature
 
     @classmethod
     def train(
@@ -106,8 +118,8 @@ class Understander:
         Args:
             domain: the domain. Its folder may have a ``language.yaml`` and people's labeled lines,
                 which are learned with the grammar's sentences: ``learned.txt``, as people type,
-                and ``drilled.txt``, written for hard cases. The confidence is fitted to a quarter
-                of the former, as understood by a smaller model trained on half of it.
+                and ``drilled.txt``, written for hard cases. One in twenty of the former only fits
+                the temperature of the confidence.
             sentences: the maximum number of people's sentences to learn from. The grammar's
                 sentences make up the rest, and are at least a quarter as many. Simulated users'
                 sentences are four times as many, most of them for the net alone.
@@ -128,41 +140,38 @@ class Understander:
             lines, drilled = lines_of(domain, LEARNED_FILE), lines_of(domain, DRILLED_FILE)
             step = math.ceil((len(lines) + len(drilled)) / sentences) or 1
             people = as_examples([*lines[::step], *labeled], lexicon)
-            hard = as_examples(drilled[::step], lexicon)
-            own = max(sentences - len(people) - len(hard), -(-sentences // _OWN))
-            said = make_examples(lexicon, own, seed)
+            unlearned = people[::_UNLEARNED]
+            if len(unlearned) >= _FEWEST:
+                del people[::_UNLEARNED]
+            else:
+                unlearned = make_examples(lexicon, max(sentences // 20, 200), seed + 1, noise=_CALM)
+            people += as_examples(drilled[::step], lexicon)
+            own = max(sentences - len(people), -(-sentences // _OWN))
+            grammar = make_examples(lexicon, own, seed)
             played = make_examples(lexicon, _PLAYED * sentences, seed, simulated=True)
-            surfaces = Surfaces(lexicon)
-            copies = min(_COPIES, round(sentences / max(len(people) + len(hard), 1)))
-
-            def learned(
-                examples: Sequence[Example], share: int, steps: int, part: slice = slice(None)
-            ) -> Model:
-                """Returns a model of people's sentences and of one in ``share`` of the others."""
-                own = said[::share]
-                lines = varied([*examples, *hard], lexicon, surfaces, copies, seed)
-                some = own[::_UNKNOWN]
-                lines += varied(some, lexicon, surfaces, 1, seed)[len(some) :]
-                foreign = make_foreign(lexicon, said, sentences // _FOREIGN, seed, part)
-                given = [*own, *spoiled(lines, seed), *played[:: _TAGGED * share]]
-                net = played[:: share * share]
-                return fit(lexicon, given, net, foreign, seed=seed, steps=steps, tick=tick)
-
-            model = learned(people, 1, steps=_STEPS)
-            others = make_examples(lexicon, max(sentences // 20, 200), seed + 1, noise=_CALM)
-            start = np.zeros(CUES)
-            foreign = make_foreign(lexicon, said, len(others) // 2, seed + 1)
-            judged, apart = cls(lexicon, model, start)._judged([*others, *foreign]), None
-            if people[1::2]:
-                # The confidence is fitted to people's sentences that the model has not seen.
-                seen, unseen = slice(0, None, 2), slice(1, None, 2)
-                blind = cls(lexicon, learned(people[seen], _SHARE, _BLIND_STEPS, seen), start)
-                unknown = make_foreign(lexicon, said, len(people) // 20, seed + 1, unseen)
-                apart = blind._judged([*people[1::4], *unknown])
-            calibration = fit_confidence(judged, apart)
+            surfaces, some = Surfaces(lexicon), grammar[::_UNKNOWN]
+            copies = min(_COPIES, round(sentences / max(len(people), 1)))
+            others = varied(people, lexicon, surfaces, copies, seed)
+            others += varied(some, lexicon, surfaces, 1, seed)[len(some) :]
+            examples = [*grammar, *spoiled(others, seed), *played[::_TAGGED]]
+            foreign = make_foreign(lexicon, grammar, sentences // _FOREIGN, seed)
+            model = fit(lexicon, examples, played, foreign, seed=seed, steps=_STEPS, tick=tick)
+            found = cls(lexicon, model, threshold=threshold)
+            found._temperature = found._fitted_temperature(unlearned)
         finally:
             torch.set_num_threads(threads)
-        return cls(lexicon, model, calibration, threshold)
+        return found
+
+    def _fitted_temperature(self, examples: Sequence[Example]) -> float:
+        """Returns the temperature at which the confidence fits unlearned sentences best."""
+        chances, right = [], []
+        for example in examples:
+            frame, _, chance = self._read(example.words, example.question, example.capitals)
+            chances.append(chance)
+            right.append(same_frame(frame, example.frame, self.lexicon))
+        confidence = np.exp(np.array(chances) / _TEMPERATURES[:, None]).clip(1e-6, 1 - 1e-6)
+        fits = np.log(np.where(right, confidence, 1 - confidence)).sum(-1)
+        return float(_TEMPERATURES[fits.argmax()])
 
     def __call__(self, text: str, question: Frame | None = None) -> Understood:
         """Returns the meaning of ``text``.
@@ -176,56 +185,40 @@ class Understander:
                 is too long.
         """
         words = words_of(text)[:_MAX_WORDS]
-        frame, unclear, cues = self._hear(words, question or OPENING, capitalized(text))
-        return Understood(frame, probability(cues, self._calibration), unclear)
+        frame, unclear, chance = self._read(words, question or OPENING, capitalized(text))
+        return Understood(frame, math.exp(chance / self._temperature), unclear)
 
     def asks(self, understood: Understood) -> bool:
         """Returns whether the system should ask again instead of acting."""
         return understood.confidence < self.threshold or bool(understood.unclear)
 
-    def _hear(
+    def _read(
         self, words: Sequence[str], question: Frame, capitals: frozenset[str]
-    ) -> tuple[Frame, tuple[Unclear, ...], np.ndarray]:
-        """Returns the frame of some words, the unclear words, and the cues of its confidence."""
+    ) -> tuple[Frame, tuple[Unclear, ...], float]:
+        """Returns the frame of some words, the unclear words, and its log-probability."""
         reading = self._model.read(words, question, capitals)
-        frame, unclear = assemble(words, reading, question, self.lexicon)
-        chance = reading.acts[self.domain.acts.index(frame.act)].exp().item()
-        tagged = zip(words, reading.tags, strict=True)
-        shorter = [word for word, tag in tagged if tag != OUTSIDE or word not in DROPPED]
-        is_steady = True
-        if shorter and len(shorter) < len(words):
-            again = self._model.read(shorter, question, capitals)
-            other, _ = assemble(shorter, again, question, self.lexicon)
-            is_steady = same_frame(frame, other, self.lexicon)
-        cues = cues_of(words, reading, frame, unclear, chance=chance, is_steady=is_steady)
-        return frame, unclear, cues
-
-    def _judged(self, sentences: Sequence[Example]) -> tuple[np.ndarray, np.ndarray]:
-        """Returns the cues ``[N, CUES]`` of sentences, and whether each frame is right ``[N]``."""
-        rows, right = [], []
-        for example in sentences:
-            frame, _, cues = self._hear(example.words, example.question, example.capitals)
-            rows.append(cues)
-            right.append(same_frame(frame, example.frame, self.lexicon))
-        return np.array(rows), np.array(right)
+        return assemble(words, reading, question, self.lexicon)
 
     def save(self, path: str | Path) -> None:
         """Writes the learned parts into one file, in numpy's format without pickles."""
         model = self._model
         about = {
+            "format": _FORMAT,
             "domain": self.domain.name,
             "acts": self.domain.acts,
             "slots": self.domain.slots,
             "features": model.net.features,
             "known": sorted(model.features.known),
             "threshold": self.threshold,
+            "temperature": self._temperature,
         }
-        arrays = {
-            **model.net.arrays(),
-            "tagger": np.frombuffer(model.tagger.model, dtype=np.uint8),
-            "calibration": self._calibration,
-        }
-        write_model(Path(path), about, arrays)
+        arrays = {name: weight.numpy() for name, weight in model.net.state_dict().items()}
+        arrays["bag.weight"] = arrays["bag.weight"].astype(np.float16)
+        arrays["tagger"] = np.frombuffer(model.tagger.model, dtype=np.uint8)
+        arrays["about"] = np.frombuffer(json.dumps(about).encode(), dtype=np.uint8)
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, **arrays, checksum=_checksum(arrays))
+        write_bytes(Path(path), buffer.getvalue())
 
     @classmethod
     def load(cls, path: str | Path, domain: Domain) -> Understander:
@@ -240,20 +233,49 @@ class Understander:
 
         Raises:
             FileNotFoundError: if there is no such file.
-            ValueError: if it is damaged, or of another version or domain.
+            ValueError: if it is damaged, or of another format or domain.
         """
-        about, arrays = read_model(Path(path))
+        about, arrays = _read_file(Path(path))
         if (about["acts"], about["slots"]) != (list(domain.acts), list(domain.slots)):
             raise ValueError(
                 f"{path} understands the domain {about['domain']!r}, whose acts and slots differ "
                 f"from those of {domain.name!r}"
             )
         lexicon = Lexicon(domain)
+        tagger = Tagger(arrays.pop("tagger").tobytes())
         net = IntentNet(about["features"], (*domain.acts, FOREIGN.act), domain.slots)
-        net.load(arrays)
-        tagger = Tagger(arrays["tagger"].tobytes())
+        net.load_state_dict(
+            {name: torch.from_numpy(array).float() for name, array in arrays.items()}
+        )
         model = Model(Features(lexicon, about["known"]), tagger, net.eval())
-        return cls(lexicon, model, arrays["calibration"], about["threshold"])
+        return cls(lexicon, model, about["temperature"], about["threshold"])
+
+
+def _read_file(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:
+    """Returns what a file says about itself, and its other arrays."""
+    try:
+        # Opened here, since numpy leaves a damaged file open.
+        with path.open("rb") as file, np.load(file, allow_pickle=False) as stored:
+            arrays = dict(stored)
+        if not np.array_equal(arrays.pop("checksum"), _checksum(arrays)):
+            raise ValueError("its checksum is wrong")
+        about = json.loads(arrays.pop("about").tobytes())
+    except FileNotFoundError:
+        raise
+    except Exception as error:  # whatever zipfile and numpy raise about bytes that are not theirs
+        raise ValueError(f"{path} is no file of an understander, or damaged: {error}") from None
+    if about["format"] != _FORMAT:
+        raise ValueError(f"{path} must be of format {_FORMAT}, got {about['format']}: train again")
+    return about, arrays
+
+
+def _checksum(arrays: Mapping[str, np.ndarray]) -> np.ndarray:
+    """Returns the SHA-256 of arrays with their names, types and shapes, as bytes [32]."""
+    digest = hashlib.sha256()
+    for name, array in sorted(arrays.items()):
+        digest.update(f"{name} {array.dtype} {array.shape}\n".encode())
+        digest.update(array.tobytes())
+    return np.frombuffer(digest.digest(), dtype=np.uint8)
 
 
 def same_frame(left: Frame, right: Frame, lexicon: Lexicon) -> bool:
@@ -268,3 +290,75 @@ def same_frame(left: Frame, right: Frame, lexicon: Lexicon) -> bool:
 def keys_of(frame: Frame, lexicon: Lexicon) -> dict[str, str]:
     """Returns the canonical key of each value of a frame."""
     return {slot: lexicon.key(slot, value) for slot, value in frame.informs.items()}
+
+
+def cached_understander(
+    domain: Domain,
+    labeled: Path | None = None,
+    tell: Callable[[str], None] = lambda _: None,
+) -> Understander:
+    """Returns the understander of a domain, and trains it if it is not in the cache folder.
+
+    Its file is named after a hash of everything that it is made from.
+
+    Args:
+        domain: the domain, with its phrases in its folder; otherwise with the generic phrases.
+        labeled: the user's labeled lines, to learn from as well.
+        tell: called with a message when training begins, which takes a minute; a terminal shows a
+            progress bar.
+
+    Raises:
+        ValueError or OSError: a file that cannot be used.
+        ModuleNotFoundError: the extra ``language`` is not installed.
+    """
+    lines = [] if labeled is None else read_lines(labeled, domain)
+    file = _cache_folder() / "bbq-torchrl" / f"{language_key(domain, labeled)}.npz"
+    with suppress(OSError, ValueError):
+        _make_private(file.parent)
+        return Understander.load(file, domain)
+    tell("Learning the language of the domain, once; it takes about a minute ...")
+    with tqdm(total=TICKS, desc="learning", disable=None, leave=False) as bar:  # on a terminal
+        own = Understander.train(domain, labeled=lines, tick=bar.update)
+    with suppress(OSError):  # without a cache folder it is trained each time
+        _make_private(file.parent)
+        own.save(file)
+    return own
+
+
+def _cache_folder() -> Path:
+    """Returns the user's cache folder; without a home folder, a path that cannot store files."""
+    if given := os.environ.get("XDG_CACHE_HOME"):
+        return Path(given)
+    try:
+        return Path.home() / ".cache"
+    except RuntimeError:  # neither HOME nor a user name, as in some containers
+        return Path(os.devnull)
+
+
+def _make_private(folder: Path) -> None:
+    """Creates a folder if needed, and restricts it to its user: its files are trusted.
+
+    Raises:
+        OSError: it cannot be made, or is another user's.
+    """
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
+    if hasattr(os, "getuid") and folder.stat().st_uid != os.getuid():
+        raise PermissionError(errno.EPERM, "is another user's", os.fspath(folder))
+    folder.chmod(0o700)
+
+
+def language_key(domain: Domain, labeled: Path | None = None) -> str:
+    """Returns a hash of everything that the understander and the sentences are made from.
+
+    Args:
+        domain: the domain.
+        labeled: the user's labeled lines.
+    """
+    digest = hashlib.sha256(f"{version('bbq-torchrl')} {domain!r}".encode())
+    sources = sorted(Path(__file__).parent.glob("*.*"))
+    files = (LANGUAGE_FILE, LEARNED_FILE, DRILLED_FILE)
+    own = [] if domain.folder is None else [domain.folder / name for name in files]
+    for path in (*sources, *own, *([labeled] if labeled is not None else [])):
+        if path.is_file():
+            digest.update(path.read_bytes())
+    return digest.hexdigest()[:24]

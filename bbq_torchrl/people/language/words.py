@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from itertools import pairwise
+from itertools import groupby, pairwise
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import yaml
 
 from bbq_torchrl.utils.text import TextError, clean
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
 
 ENGLISH: dict[str, Any] = yaml.safe_load(
     Path(__file__).with_name("english.yaml").read_text(encoding="utf-8")
@@ -194,81 +197,34 @@ def _has_phrase(text: str, entry: str) -> bool:
     return any(f" {phrase} " in words for phrase in ENGLISH[entry])
 
 
-UNITS = ENGLISH["units"].split()
-"""Zero to nineteen."""
-
-TENS = {20: "twenty", 30: "thirty", 40: "forty", 50: "fifty"}
-
-ORDINALS = ENGLISH["ordinals"].split()
-"""First to twentieth."""
-
-TEN_WORDS = {word: ten for ten, word in TENS.items()}
-_NUMBERS = {word: number for number, word in enumerate(UNITS)} | TEN_WORDS
-NUMBER_WORDS = frozenset(_NUMBERS)
-
-_ALONE, _COMPANIONS, _PAIRS, _COMPANIES = map(
-    word_set, ("alone", "companions", "pairs", "companies")
-)
-COUNT_WORDS = frozenset(
-    NUMBER_WORDS | _ALONE | _COMPANIONS | _PAIRS | _COMPANIES | word_set("around_counts")
-)
-
-NUMBER = rf"(?:{'|'.join(sorted(NUMBER_WORDS))}|\d\d?)"
-"""A regular expression of a number."""
-
-_MEMBER = rf"(?:{NUMBER}|an?) (?:{'|'.join(sorted(word_set('members')))})"
-_JOIN = "|".join(map(re.escape, sorted(word_set("members_join"))))
-PARTY = re.compile(rf"(?<!\S){_MEMBER}(?: (?:(?:{_JOIN}) )*{_MEMBER})+(?!\S)")
-"""Several sorts of people, each with its number: "2 adults and a child"."""
+OUTSIDE = "-"
+"""The tag of a word that is not part of a value."""
 
 
-def number_of(word: str) -> int | None:
-    """Returns the number named by a word or by at most four digits, else ``None``."""
-    if word.isdecimal() and word.isascii():
-        return int(word) if len(word) <= 4 else None
-    return _NUMBERS.get(word)
+class Span(NamedTuple):
+    """Words that name a value.
+
+    Attributes:
+        slot: the slot of the value.
+        start: the first word.
+        end: the word after the last.
+    """
+
+    slot: str
+    start: int
+    end: int
 
 
-def read_count(text: str) -> str | None:
-    """Returns the key of a number of people, else ``None``.
+def spans_of(tags: Sequence[str]) -> list[Span]:
+    """Returns the spans that tags mark.
 
     Examples:
-        >>> [read_count(t) for t in ("two", "me and my wife", "3 of my friends and me", "-3")]
-        ['2', '2', '4', None]
-        >>> read_count("2 adults and a child")
-        '3'
+        >>> spans_of([OUTSIDE, "city", "city", "date"])
+        [Span(slot='city', start=1, end=3), Span(slot='date', start=3, end=4)]
     """
-    words = tokenize(text.replace("-", " ") if not re.search(r"-\s*\d", text) else text)
-    words = ["with" if word == "w" else word for word in words]
-    words = [re.sub(r"(?<=\d)x$", "", word) for word in words]  # "2x"
-    numbers = [number for word in words if (number := number_of(word)) is not None]
-    if any(
-        re.fullmatch(r"-\d+", word) or (word.isdecimal() and number_of(word) is None)
-        for word in words
-    ):
-        return None
-    has_me = any(word in ("me", "i", "my", "myself") for word in words)
-    if (party := PARTY.search(" ".join(words))) is not None:
-        members = [1 if word in ("a", "an") else number_of(word) or 0 for word in party[0].split()]
-        total = sum(members) + bool({"me", "i", "myself"} & set(words))
-        return str(total) if 0 < total <= 99 else None
-    if len(numbers) > 1:
-        return None
-    if "dozen" in words:
-        total = 6 if "half" in words else 12 * sum(numbers or [1])
-        return str(total) if 0 < total <= 99 else None
-    if numbers:
-        is_plus = has_me and bool({"+", "plus"} & set(words))
-        is_plus |= (
-            bool(_COMPANIES & set(words)) and (has_me or "with" in words) and "us" not in words
-        )
-        total = numbers[0] + is_plus * (1 + sum(word in _COMPANIONS for word in words))
-        return str(total) if 0 < total <= 99 else None
-    if {"couple", "pair", "both"} & set(words):
-        return "2"
-    companions = sum((word in _COMPANIONS) + 2 * (word in _PAIRS) for word in words)
-    if companions and (has_me or "with" in words or words[:1] == ["a"]):
-        return str(1 + companions)
-    if _ALONE & set(words) or " ".join(words) in ENGLISH["just_me"]:
-        return "1"
-    return None
+    spans = []
+    for slot, tagged in groupby(enumerate(tags), key=lambda item: item[1]):
+        places = [at for at, _ in tagged]
+        if slot != OUTSIDE:
+            spans.append(Span(slot, places[0], places[-1] + 1))
+    return spans

@@ -13,8 +13,8 @@ from bbq_torchrl.people.dialogue.partner import Memory, Partner
 from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.dialogue.trained_agent import TrainedAgent
 from bbq_torchrl.people.language import Generator, load_phrases
-from bbq_torchrl.people.language.cache import cached_understander, language_key
 from bbq_torchrl.people.language.phrases import GENERIC, has_own_phrases
+from bbq_torchrl.people.language.understander import cached_understander, language_key
 from bbq_torchrl.people.study import Reply, StudyError
 from bbq_torchrl.runs.shipped import run_folder
 from bbq_torchrl.utils.output import print_error

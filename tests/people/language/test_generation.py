@@ -17,10 +17,9 @@ from bbq_torchrl.people.language import (
     load_phrases,
 )
 from bbq_torchrl.people.language.composer import Composer
-from bbq_torchrl.people.language.corpus import make_examples
+from bbq_torchrl.people.language.corpus import make_examples, play
 from bbq_torchrl.people.language.lexicon import Lexicon
-from bbq_torchrl.people.language.simulated import play
-from bbq_torchrl.people.language.templates import Piece, expand, is_possible, parse, plain
+from bbq_torchrl.people.language.phrases import Piece, expand, is_possible, parse, plain
 
 SPOILT = re.compile(r"[{}<>\[\]|]|[a-z]_[a-z]|moviename|starttime|numberof|taskcomplete|mc_list")
 

@@ -6,7 +6,6 @@ from pathlib import Path
 import forked
 import numpy as np
 import pytest
-import torch
 
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.people.language import (
@@ -16,44 +15,19 @@ from bbq_torchrl.people.language import (
     TextError,
     Understander,
     __main__ as command,
-    model_file,
     read_lines,
 )
 from bbq_torchrl.people.language.asking import OPENING
-from bbq_torchrl.people.language.assembly import assemble, chosen
-from bbq_torchrl.people.language.cache import cached_understander
-from bbq_torchrl.people.language.learners import OUTSIDE
-from bbq_torchrl.people.language.model import Reading
+from bbq_torchrl.people.language.understander import cached_understander
 from bbq_torchrl.people.language.words import tokenize
 
+DATA = Path(__file__).parents[2] / "data"
 ANSWERS = read_lines(Path(__file__).with_name("answers.txt"), movie_domain())
 
 
 @pytest.mark.parametrize("answer", ANSWERS, ids=lambda answer: answer.text)
 def test_an_answer_is_read_in_the_light_of_the_question(understand, answer):
     assert understand(answer.text, answer.question).frame == answer.frame
-
-
-@pytest.mark.parametrize(
-    ("slot", "choices", "text", "taken"),
-    [
-        ("moviename", ("godzilla minus one", "kong"), "the second one", "kong"),
-        ("moviename", ("kong", "godzilla minus one"), "the first one", "kong"),
-        ("moviename", ("kong", "wicked"), "number one", "kong"),
-        ("moviename", ("kong", "wicked"), "one", "kong"),
-        ("moviename", ("kong", "wicked"), "not that one", None),
-        ("moviename", ("kong", "wicked"), "the later one", None),  # of what has no order
-        # Not by the letters of "after" and "at".
-        ("starttime", ("2:15 pm", "after 6pm"), "the later one", "after 6pm"),
-        ("starttime", ("2:15 pm", "after 6pm"), "the earlier one", "2:15 pm"),
-        ("starttime", ("7:30 pm", "matinee"), "the later one", None),  # which has no clock
-        ("starttime", ("7:30 pm", "matinee"), "the earlier one", None),
-        ("starttime", ("7pm", "9:30 pm"), "the earlier one", "7pm"),
-    ],
-)
-def test_a_choice_is_taken_by_its_place(lexicon, slot, choices, text, taken):
-    question = Frame("multiple_choice", requests=(slot,), choices=choices)
-    assert chosen(text.split(), question, lexicon) == taken
 
 
 @pytest.mark.parametrize(
@@ -68,51 +42,6 @@ def test_what_may_be_two_values_is_asked_about_not_picked(understand, slot, text
     assert slot not in heard.frame.informs
     assert {v for u in heard.unclear for v in u.candidates} == candidates
     assert understand.asks(heard)
-
-
-READINGS = {
-    "a name that is asked about is a question":
-        ("comedies ?", "request", {0: "genre"}, {"moviename": 0.9},
-         "request(moviename)", "request(moviename) inform(genre=comedy)"),
-    "a name that is told is an answer":
-        ("comedies ?", "inform", {0: "genre"}, {}, "request(moviename)", "inform(genre=comedy)"),
-    "agreeing to a booking in a word and asking is thanks":
-        ("sure . price ?", "request", {}, {"price": 1.0},
-         "inform(taskcomplete=ticket available)", "thanks request(price)"),
-    "nothing is agreed to where there is no booking":
-        ("sure . price ?", "request", {}, {"price": 1.0},
-         "inform(taskcomplete=no match)", "request(price)"),
-    "act and questions are chosen together":
-        ("is it pricey", "greeting", {}, {"price": 0.99}, "request(genre)", "request(price)"),
-    "a question that is less sure than the act gives way":
-        ("is it pricey", "greeting", {}, {"price": 0.6}, "request(genre)", "greeting"),
-    "of a value that the agent said and another the other is meant":
-        ("tulsa ? tucson", "inform", {0: "city", 2: "city"}, {},
-         "inform(city=tulsa)", "inform(city=tucson)"),
-    "repeating what the agent told agrees to it":
-        ("tulsa is fine", "thanks", {0: "city"}, {}, "inform(city=tulsa)", "thanks"),
-    "another value than the agent's is told":
-        ("tulsa is fine", "thanks", {0: "city"}, {}, "inform(city=reno)", "inform(city=tulsa)"),
-    "a number of people is read with the company around it":
-        ("with my three brothers", "inform", {2: "numberofpeople"}, {},
-         "greeting", "inform(numberofpeople=4)"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize(
-    ("text", "act", "tagged", "asked", "question", "meant"), READINGS.values(), ids=READINGS
-)
-def test_a_reading_becomes_the_likeliest_frame(
-    understand, text, act, tagged, asked, question, meant
-):
-    words, domain = text.split(), movie_domain()
-    tags = [tagged.get(at, OUTSIDE) for at in range(len(words))]
-    acts = torch.tensor([-0.1 if name == act else -2.5 for name in domain.acts])
-    requests = torch.tensor([asked.get(slot, 0.0) for slot in domain.slots])
-    no_care = torch.zeros_like(requests)
-    reading = Reading(tags, 1.0, [1.0] * len(tags), acts, requests, no_care, 0.0)
-    frame, unclear = assemble(words, reading, Frame.parse(question), understand.lexicon)
-    assert (str(frame), unclear) == (meant, ())
 
 
 @pytest.mark.parametrize(
@@ -132,6 +61,37 @@ def test_a_sentence_of_a_text_is_heard_though_the_whole_hides_it(understand):
     time = movie_domain().slots.index("starttime")
     assert clause.requests[time] > 0.75
     assert whole.requests[time] > 0.5
+
+
+@pytest.mark.parametrize("title", ["barbie", "oppenheimer", "the holdovers", "wonka"])
+@pytest.mark.parametrize(
+    "text",
+    ["2 tickets for {} please", "two tickets for {}", "3 seats for {} please", "tickets for {}"],
+)
+def test_a_short_opening_is_in_scope(understand, text, title):
+    frame = understand(text.format(title)).frame
+    assert (frame.act, frame.informs.get("moviename")) == ("request", title)
+    assert ("numberofpeople" in frame.informs) != text.startswith("tickets")
+
+
+def test_a_remark_about_something_else_does_not_hide_a_question(understand):
+    frame = understand("which theater is it at? my dishwasher is leaking").frame
+    assert frame == Frame("request", {}, ("theater",))
+    assert understand.asks(understand("my dishwasher is leaking"))
+
+
+def test_what_the_domain_cannot_mean_is_seldom_acted_on(understand):
+    """By sentences written by hand: .56 were acted on before they were a class."""
+    acted = []
+    for line in (
+        (DATA / "language" / "limits" / "out_of_scope_dev.txt").read_text("utf-8").splitlines()
+    ):
+        if line.startswith("#"):
+            continue
+        question, text = (part.strip() for part in line.split("|"))
+        heard = understand(text, Frame.parse(question) if question else None)
+        acted.append(not understand.asks(heard))
+    assert sum(acted) / len(acted) < 0.3
 
 
 HOSTILE = [
@@ -210,93 +170,34 @@ def test_two_processes_train_the_same_bytes(tmp_path, monkeypatch):
     assert (tmp_path / "1.npz").read_bytes() == (tmp_path / "2.npz").read_bytes()
 
 
-def test_a_file_that_is_damaged_or_of_another_domain_is_refused(understand, restaurant, tmp_path):
-    path = tmp_path / "u.npz"
-    np.savez(path, about=np.array([{"a": 1}], dtype=object))
-    objects = path.read_bytes()
-    understand.save(path)
-    with pytest.raises(ValueError, match="whose acts and slots differ"):
-        Understander.load(path, restaurant)
-    half = path.read_bytes()[:50_000]
-    for content in (b"", half, b"PK\x03\x04", b"\x80\x04K\x01.", objects):
-        path.write_bytes(content)
-        with pytest.raises(ValueError, match="damaged"):
-            Understander.load(path, movie_domain())
-
-
-def changed(name, change):
-    """Changes one array of a file, whose ZIP checksums are then right; without one it is gone."""
-
-    def damage(arrays):
-        array = arrays.pop(name)
-        if change is not None:
-            arrays[name] = change(array)
-
-    return damage
-
-
-def told(key, value):
-    """Changes what a file says about itself, and gives it the right checksum."""
-
-    def damage(arrays):
-        about = json.loads(arrays["about"].tobytes())
-        about[key] = value
-        if value is None:
-            del about[key]
-        arrays["about"] = np.frombuffer(json.dumps(about).encode(), dtype=np.uint8)
-        del arrays["checksum"]
-        arrays["checksum"] = model_file._checksum(arrays)
-
-    return damage
-
-
-def one_byte_else(array):
-    other = array.copy()
-    other[len(other) // 2] ^= 255
-    return other
-
-
-ARRAYS = ("tagger", "bag", "heads", "bias", "calibration", "checksum")
-FILES = {
-    **{f"no {name}": (changed(name, None), "it must have the arrays") for name in ARRAYS},
-    "no about": (changed("about", None), "about"),
-    "an array too many": (lambda arrays: arrays.update(more=np.ones(2)), "it must have the arrays"),
-    "another byte": (changed("tagger", one_byte_else), "its checksum is wrong"),
-    "a cut tagger": (changed("tagger", lambda array: array[:99]), "its checksum is wrong"),
-    "other weights": (changed("bias", lambda array: array + 1), "its checksum is wrong"),
-    "another type": (changed("tagger", lambda array: array.astype(float)), "tagger must be uint8"),
-    "another shape": (changed("tagger", lambda array: array[None]), "tagger must be uint8"),
-    "no features": (told("features", None), "features must be a list of texts"),
-    "features that are numbers": (told("features", [1]), "features must be a list of texts"),
-    "another number of features": (told("features", ["a"]), "bag must have a row for each"),
-    "no threshold": (told("threshold", None), "a threshold"),
-    "no name": (told("domain", 3), "the name of a domain"),
-    "another version": (told("version", 5), "must be of version 8, got 5: train it anew"),
-}
-
-
-@pytest.mark.parametrize(("damage", "says"), FILES.values(), ids=FILES)
-def test_a_file_that_was_changed_is_refused_before_anything_reads_it(
-    understand, tmp_path, monkeypatch, damage, says
+@pytest.mark.parametrize("content", [b"", b"PK\x03\x04", b"\x80\x04K\x01.", "half", "changed"])
+def test_a_damaged_file_is_refused_before_the_tagger_reads_it(
+    understand, tmp_path, monkeypatch, content
 ):
     path = tmp_path / "u.npz"
     understand.save(path)
-    with np.load(path) as stored:
-        arrays = dict(stored)
-    damage(arrays)
-    np.savez(path, **arrays)
-    monkeypatch.setattr(
-        "bbq_torchrl.people.language.understander.Tagger", None
-    )  # which crashes on some
-    with pytest.raises(ValueError, match=says):
+    if content == "half":
+        content = path.read_bytes()[:50_000]
+    if content == "changed":
+        with np.load(path) as stored:
+            arrays = dict(stored)
+        np.savez(path, **arrays | {"tagger": arrays["tagger"][:99]})
+    else:
+        path.write_bytes(content)
+    monkeypatch.setattr("bbq_torchrl.people.language.understander.Tagger", None)
+    with pytest.raises(ValueError, match="damaged"):
         Understander.load(path, movie_domain())
 
 
-def test_a_file_that_would_grow_is_refused_before_it_is_unpacked(understand, tmp_path, monkeypatch):
+def test_a_file_of_another_domain_or_format_is_refused(
+    understand, restaurant, tmp_path, monkeypatch
+):
     path = tmp_path / "u.npz"
     understand.save(path)
-    monkeypatch.setattr(model_file, "_MAX_BYTES", 10_000)
-    with pytest.raises(ValueError, match="bytes, more than 10000"):
+    with pytest.raises(ValueError, match="restaurant"):
+        Understander.load(path, restaurant)
+    monkeypatch.setattr("bbq_torchrl.people.language.understander._FORMAT", 0)
+    with pytest.raises(ValueError, match="format 0"):
         Understander.load(path, movie_domain())
 
 
@@ -317,20 +218,9 @@ def test_an_understander_is_kept_where_only_its_user_can_write(understand, tmp_p
     kept.write_bytes(kept.read_bytes()[:50_000])
     cached_understander(movie_domain())
     assert trained == [1, 1]
-
-
-def test_a_cached_understander_in_a_folder_of_somebody_else_is_not_believed(
-    understand, tmp_path, monkeypatch
-):
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
-    trained = []
-    monkeypatch.setattr(Understander, "train", lambda *_, **__: trained.append(1) or understand)
+    monkeypatch.setattr("os.getuid", lambda: folder.stat().st_uid + 1)
     cached_understander(movie_domain())
-    monkeypatch.setattr("os.getuid", lambda: (tmp_path / "bbq-torchrl").stat().st_uid + 1)
-
-    cached_understander(movie_domain())
-
-    assert trained == [1, 1]
+    assert trained == [1, 1, 1]  # a folder of somebody else is not believed
 
 
 def test_measuring_leaves_a_trained_file_alone(understand, tmp_path, monkeypatch):
@@ -344,12 +234,17 @@ def test_measuring_leaves_a_trained_file_alone(understand, tmp_path, monkeypatch
     assert json.loads((tmp_path / "new" / "figures.json").read_text())["megabytes"] > 0
 
 
-RESTAURANT = Path(__file__).parents[2] / "data" / "restaurant"
-
-
 def test_a_domain_of_ones_own_is_measured_by_what_it_has(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
-    given = ["measure", "--domain", str(RESTAURANT), "--sentences", "40", "--dialogues", "20"]
+    given = [
+        "measure",
+        "--domain",
+        str(DATA / "restaurant"),
+        "--sentences",
+        "40",
+        "--dialogues",
+        "20",
+    ]
     assert command.main(given) == 0
     assert "people's sentences were not measured" in capsys.readouterr().err
     figures = json.loads(Path("restaurant.language.json").read_text())

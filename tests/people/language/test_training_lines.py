@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import random
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,13 +8,19 @@ import pytest
 
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.people.language import Frame, Understander, read_lines
-from bbq_torchrl.people.language.asking import OPENING
-from bbq_torchrl.people.language.cache import cached_understander
-from bbq_torchrl.people.language.corpus import spoiled
+from bbq_torchrl.people.language.asking import FOREIGN, OPENING
+from bbq_torchrl.people.language.corpus import make_examples, spoiled
 from bbq_torchrl.people.language.measure import VOICES, calibration_error, calibration_floor
 from bbq_torchrl.people.language.sentence_features import Features
-from bbq_torchrl.people.language.training_lines import Line, as_examples, varied
-from bbq_torchrl.people.language.words import SMALL
+from bbq_torchrl.people.language.training_lines import (
+    Line,
+    Names,
+    as_examples,
+    make_foreign,
+    varied,
+)
+from bbq_torchrl.people.language.understander import cached_understander
+from bbq_torchrl.people.language.words import ENGLISH, SMALL
 
 DATA = Path(__file__).parents[2] / "data" / "language"
 
@@ -123,6 +130,33 @@ def test_a_name_that_is_not_known_is_learned_where_it_stands(lexicon):
     assert example.frame.informs == {"moviename": "wonka"}
 
 
+def test_no_made_up_name_is_that_of_a_value(lexicon):
+    names, rng = Names(lexicon), random.Random(0)
+    for slot in lexicon.slots:
+        made = [" ".join(names.made_up(slot, rng)) for _ in range(40)]
+        if lexicon.kinds[slot] != "text":
+            assert set(made) == {""}
+            continue
+        assert sum(map(bool, made)) >= 30
+        assert not any(lexicon.link(slot, name).is_exact for name in filter(None, made))
+
+
+def test_foreign_sentences_open_a_dialogue_or_answer(lexicon):
+    said = make_examples(lexicon, 50, 0)
+    made = make_foreign(lexicon, said, 200, 0)
+    assert all(example.frame == FOREIGN for example in made)
+    assert any(example.question == OPENING for example in made)
+    assert any(example.question != OPENING for example in made)
+
+
+def test_no_sentence_of_the_sets_was_learned():
+    own = " | ".join([*ENGLISH["foreign"], (movie_domain().folder / "language.yaml").read_text()])
+    for name in ("out_of_scope", "out_of_scope_dev"):
+        for line in (DATA / "limits" / f"{name}.txt").read_text("utf-8").splitlines():
+            text = line.partition("|")[2].strip()
+            assert not text or text.lower() not in own.lower()
+
+
 def test_own_lines_that_are_not_there_are_missed_though_an_understander_is_kept(
     tmp_path, monkeypatch
 ):
@@ -132,18 +166,19 @@ def test_own_lines_that_are_not_there_are_missed_though_an_understander_is_kept(
         cached_understander(movie_domain(), tmp_path / "gone.txt")
 
 
-def test_without_a_home_folder_an_understander_is_trained_and_not_kept(tmp_path, monkeypatch):
+def test_without_a_home_folder_an_understander_is_trained_and_not_kept(
+    understand, tmp_path, monkeypatch
+):
     def unknown(_):
         raise KeyError("getpwuid(): uid not found: 12345")
 
-    trained = Understander.train(movie_domain(), sentences=50)
     monkeypatch.chdir(tmp_path)
     monkeypatch.delenv("HOME")
     monkeypatch.delenv("XDG_CACHE_HOME", raising=False)
     monkeypatch.setattr("pwd.getpwuid", unknown)
-    monkeypatch.setattr(Understander, "train", lambda *_, **__: trained)
+    monkeypatch.setattr(Understander, "train", lambda *_, **__: understand)
     for _ in range(2):
-        assert cached_understander(movie_domain()) is trained
+        assert cached_understander(movie_domain()) is understand
     assert not list(tmp_path.iterdir())
 
 
