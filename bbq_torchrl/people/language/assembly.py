@@ -67,9 +67,9 @@ def assemble(
         return Frame("inform", {question.requests[0]: choice}), (), 0.0
     act = lexicon.domain.acts[int(reading.acts.argmax())]
     spans = spans_of(reading.tags)
-    if asked in lexicon.slots and len(words) <= _SHORT and "?" not in words:
-        if lexicon.link(asked, " ".join(words)).is_exact:
-            spans = [Span(asked, 0, len(words))]  # "LA" is the city or the state asked for.
+    is_short = len(words) <= _SHORT and "?" not in words
+    if is_short and asked in lexicon.slots and lexicon.link(asked, " ".join(words)).is_exact:
+        spans = [Span(asked, 0, len(words))]  # "LA" is the city or the state asked for.
     if act != "closing":  # "Not today then, bye."
         is_bare = act == "inform" and not spans  # though it must name something
         spans += _missed(words, reading, asked, is_bare, lexicon)

@@ -6,7 +6,7 @@ import random
 import re
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal, NamedTuple
 
 import torch
 
@@ -15,7 +15,7 @@ from bbq_torchrl.domains.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Codin
 from bbq_torchrl.people.language.asking import OPENING
 from bbq_torchrl.people.language.composer import Composer
 from bbq_torchrl.people.language.paraphrase import Surfaces, as_second_language, slangy, with_typos
-from bbq_torchrl.people.language.words import OUTSIDE, tokenize
+from bbq_torchrl.people.language.words import ENGLISH, OUTSIDE, tokenize
 from bbq_torchrl.simulator import Simulator
 
 if TYPE_CHECKING:
@@ -34,7 +34,7 @@ _SLOTLESS = tuple(
 _SMALL_WORDS = frozenset(("in", "or", "ok", "hi", "me", "oh"))
 _DIALOGUES = 1_000
 _KEPT = 100  # of 500
-_Count = int | tuple[int, ...]
+_Count = int | list[int]
 
 
 _BATCH = 500
@@ -144,6 +144,22 @@ def _shapes(lexicon: Lexicon, slot: str) -> tuple[list[list[str]], list[float]]:
     return list(shapes.values()), [len(values) ** 0.5 for values in shapes.values()]
 
 
+class _Row(NamedTuple):
+    """A kind of reply: its weight, its act, what it says of the slot spoken of, and more slots.
+
+    An act that the domain lacks stands for any act without slots.
+    """
+
+    weight: int
+    act: str
+    own: Literal["", "value", "any", "asks"] = ""
+    requests: _Count = 0
+    values: _Count = 0
+
+
+_REPLIES = {kind: [_Row(*row) for row in rows] for kind, rows in ENGLISH["replies"].items()}
+
+
 class _Frames:
     """Draws an agent's act and a user's reply."""
 
@@ -173,28 +189,43 @@ class _Frames:
 
     def draw(self, rng: random.Random) -> tuple[Frame, Frame]:
         """Returns the agent's last act and the user's act."""
-        kind = rng.random()
-        if kind < 0.32:
-            return OPENING, self._opening(rng)
-        if kind < 0.70 and self._asked:
+        can_ask, can_tell = 38 * bool(self._asked), 13 * bool(self._told)
+        kind = rng.choices("oaivct", (32, can_ask, can_tell, 10, 5, 2))[0]
+        if kind == "o":
+            return OPENING, self._reply("opening", rng)
+        if kind == "a":
             slot = rng.choices(self._asked, [self._valued[s] for s in self._asked])[0]
-            return Frame("request", {}, (slot,)), self._answer(slot, rng)
-        if kind < 0.83 and self._told:
+            return Frame("request", {}, (slot,)), self._reply("answer", rng, slot)
+        if kind == "i":
             slot = rng.choice(self._told)
             value = NO_MATCH_TEXT if rng.random() < 0.2 else self._value(slot, rng)
-            return Frame("inform", {slot: value}), self._reaction(slot, rng)
-        if kind < 0.93:
-            complete = self._domain.complete_slot
-            verdict = rng.choice((AVAILABLE_TEXT, NO_MATCH_TEXT))
-            question = self._frame("inform", rng, {complete: verdict}, values=(1, 2, 3, 4))
-            return question, self._verdict(question, rng)
-        act = rng.choice(("greeting", "deny", "confirm_question", "confirm_answer"))
-        if rng.random() < 0.3:
-            ticket = Frame(
-                "inform", {self._domain.ticket_slot: rng.choice((AVAILABLE_TEXT, NO_MATCH_TEXT))}
-            )
-            return ticket, self._reaction(None, rng)
-        return Frame(act), self._after_act(act, rng)
+            return Frame("inform", {slot: value}), self._reply("reaction", rng, slot)
+        if kind == "c":
+            act = rng.choice(("greeting", "deny", "confirm_question", "confirm_answer"))
+            return Frame(act), self._reply(act if act in _REPLIES else "reaction", rng)
+        verdict = rng.choice((AVAILABLE_TEXT, NO_MATCH_TEXT))
+        if kind == "t":
+            ticket = Frame("inform", {self._domain.ticket_slot: verdict})
+            return ticket, self._reply("reaction", rng)
+        complete = {self._domain.complete_slot: verdict}
+        offer = self._frame("inform", rng, complete, values=[1, 2, 3, 4])
+        slot = rng.choice([slot for slot in offer.informs if slot in self._valued])
+        return offer, self._reply("verdict", rng, slot)
+
+    def _reply(self, kind: str, rng: random.Random, slot: str | None = None) -> Frame:
+        """Returns a user's reply of a kind; ``slot`` is that of the agent's act."""
+        rows = [row for row in _REPLIES[kind] if slot is not None or not row.own]
+        row = rng.choices(rows, [row.weight for row in rows])[0]
+        if row.act not in self._domain.acts:
+            return Frame(rng.choice(self._slotless))
+        but = () if slot is None else (slot,)
+        frame = self._frame(row.act, rng, requests=row.requests, values=row.values, but=but)
+        if slot is None or not row.own:
+            return frame
+        if row.own == "asks":
+            return replace(frame, requests=(slot,)) if slot in self._wanted else frame
+        own = self._value(slot, rng) if row.own == "value" else ANY
+        return replace(frame, informs={slot: own, **frame.informs})
 
     def _value(self, slot: str, rng: random.Random) -> str:
         """Returns a value; rare shapes ("after work") come up more often than their share."""
@@ -228,96 +259,14 @@ class _Frames:
             act: the act.
             rng: the random number generator.
             told: further values to inform.
-            requests: the number of questions, or a tuple to draw it from.
-            values: the number of values, or a tuple to draw it from.
+            requests: the number of questions, or a list to draw it from.
+            values: the number of values, or a list to draw it from.
             but: the slots to leave out.
         """
         asked = tuple(dict.fromkeys(self._drawn(self._wanted, rng, requests, but)))
         slots = self._drawn(self._valued, rng, values, (*but, *asked))
         drawn = {slot: self._value(slot, rng) for slot in slots}
         return Frame(act, {**(told or {}), **drawn}, asked)
-
-    def _slotless_act(self, rng: random.Random) -> Frame:
-        return Frame(rng.choice(self._slotless))
-
-    def _opening(self, rng: random.Random) -> Frame:
-        kind = rng.random()
-        count = rng.choices((0, 1, 2, 3, 4, 5), (2, 5, 6, 5, 3, 1))[0]
-        if kind < 0.62:
-            asked = rng.choices((1, 2, 3), (16, 3, 1))[0]
-            return self._frame("request", rng, requests=asked, values=count)
-        if kind < 0.66:
-            return self._frame("confirm_question", rng, values=(1, 2, 3))
-        if kind < 0.9:
-            return self._frame("inform", rng, values=max(count, 1))
-        return Frame("greeting") if rng.random() < 0.5 else self._slotless_act(rng)
-
-    def _answer(self, slot: str, rng: random.Random) -> Frame:
-        kind = rng.random()
-        value = {slot: self._value(slot, rng)}
-        if kind < 0.36:
-            return Frame("inform", value)
-        if kind < 0.46:
-            return self._frame("inform", rng, value, values=1, but=(slot,))
-        if kind < 0.56:
-            return self._frame("inform", rng, value, requests=1, but=(slot,))
-        if kind < 0.67:
-            return Frame("inform", {slot: ANY})
-        if kind < 0.70:
-            return self._frame("inform", rng, {slot: ANY}, requests=1, but=(slot,))
-        if kind < 0.72:
-            return Frame("inform", {rng.choice(self._asked): ANY})
-        if kind < 0.79:
-            return self._frame("inform", rng, values=(1, 1, 2), but=(slot,))
-        if kind < 0.88:
-            if rng.random() < 0.7 and slot in self._wanted:
-                other = self._frame("request", rng, values=(0, 0, 0, 1), but=(slot,))
-                return replace(other, requests=(slot,))
-            return self._frame("request", rng, requests=1, values=(0, 0, 0, 1))
-        if kind < 0.93:
-            return Frame("not_sure") if "not_sure" in self._slotless else self._slotless_act(rng)
-        return self._slotless_act(rng)
-
-    def _reaction(self, slot: str | None, rng: random.Random) -> Frame:
-        kind = rng.random()
-        if kind < 0.2 and slot is not None:
-            value = {slot: self._value(slot, rng)}
-            return self._frame("inform", rng, value, values=(0, 0, 1), but=(slot,))
-        if kind < 0.3:
-            return self._frame("inform", rng, requests=(0, 0, 1), values=1)
-        if kind < 0.62:
-            return self._frame("request", rng, requests=1, values=(0, 0, 0, 1))
-        if kind < 0.69:
-            return self._frame("confirm_question", rng, values=1)
-        if kind < 0.82:
-            return Frame("thanks")
-        if kind < 0.92:
-            return Frame("deny")
-        return self._slotless_act(rng)
-
-    def _verdict(self, question: Frame, rng: random.Random) -> Frame:
-        kind = rng.random()
-        if kind < 0.29:
-            return Frame("thanks")
-        if kind < 0.46:
-            return self._frame("thanks", rng, requests=(1, 1, 1, 2))
-        if kind < 0.62:
-            return Frame("deny")
-        if kind < 0.82:
-            slots = [slot for slot in question.informs if slot in self._valued]
-            slot = rng.choice(slots)
-            is_any = slot in self._asked and rng.random() < 0.2
-            return Frame("inform", {slot: ANY if is_any else self._value(slot, rng)})
-        if kind < 0.88:
-            return self._frame("request", rng, requests=1, values=(0, 1))
-        return Frame("closing") if rng.random() < 0.9 else self._slotless_act(rng)
-
-    def _after_act(self, act: str, rng: random.Random) -> Frame:
-        if act == "greeting" and rng.random() < 0.8:
-            return self._opening(rng)
-        if act == "confirm_question" and rng.random() < 0.75:
-            return Frame(rng.choice(("confirm_answer", "confirm_answer", "deny")))
-        return self._reaction(None, rng) if rng.random() < 0.6 else self._slotless_act(rng)
 
 
 def play(

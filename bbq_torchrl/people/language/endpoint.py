@@ -4,21 +4,23 @@ from __future__ import annotations
 
 import json
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from bbq_torchrl.domains.frames import ANY, Frame
 from bbq_torchrl.people.language.words import legible
 from bbq_torchrl.utils.extras import needed
-from bbq_torchrl.utils.text import TextError
+from bbq_torchrl.utils.text import MAX_CHARACTERS
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from bbq_torchrl.people.language.asking import Understood
     from bbq_torchrl.people.language.generator import Generator
     from bbq_torchrl.people.language.understander import Understander
 
-_LONGEST_ANSWER = 100_000
+_T = TypeVar("_T")
+_NO_ANSWER = (LookupError, TypeError, ValueError, RecursionError)
+_FITS = 0.9  # the least score of a value in an answer
 _UNDERSTAND = (
     "You read what the user of a booking agent says. Answer by JSON only: the dialogue act, the "
     "values told (as listed, word for word), the slots asked for, and the slots that do not "
@@ -71,49 +73,65 @@ class Endpoint:
             },
         }
         headers = {"Authorization": f"Bearer {self.key}"} if self.key else {}
+        url = f"{self.url.rstrip('/')}/chat/completions"
         try:
-            reply = httpx.post(
-                f"{self.url.rstrip('/')}/chat/completions",
-                json=request,
-                headers=headers,
-                timeout=self.timeout,
-            )
+            reply = httpx.post(url, json=request, headers=headers, timeout=self.timeout)
             reply.raise_for_status()
-            content = reply.json()["choices"][0]["message"]["content"]
-            if not isinstance(content, str) or len(content) > _LONGEST_ANSWER:
-                raise ValueError("the answer is no text of a sensible length")
-            return json.loads(content)
-        except (
-            httpx.HTTPError,
-            httpx.InvalidURL,
-            ValueError,
-            KeyError,
-            IndexError,
-            TypeError,
-            RecursionError,
-        ) as error:
+            return json.loads(reply.json()["choices"][0]["message"]["content"])
+        except (httpx.HTTPError, httpx.InvalidURL, *_NO_ANSWER) as error:
             raise ConnectionError(f"the endpoint {self.url} gave no answer: {error}") from None
 
 
-class EndpointUnderstander:
+class _WithFallback:
+    """Asks an endpoint, and counts what it answers.
+
+    Attributes:
+        answered: the number of the endpoint's answers used.
+        fallbacks: the number of fallbacks to the local part, by reason: ``"no answer"`` and
+            ``"invalid"``.
+    """
+
+    def __init__(self, endpoint: Endpoint) -> None:
+        self._endpoint = endpoint
+        self.answered = 0
+        self.fallbacks = {"no answer": 0, "invalid": 0}
+
+    def _asked(
+        self,
+        system: str,
+        user: Mapping[str, Any],
+        schema: Mapping[str, Any],
+        read: Callable[[Any], _T | None],
+    ) -> _T | None:
+        """Returns what ``read`` finds in the endpoint's answer; ``None`` to use the local part."""
+        try:
+            answer = self._endpoint.ask(system, user, schema)
+        except ConnectionError:
+            self.fallbacks["no answer"] += 1
+            return None
+        try:
+            found = read(answer)
+        except (AttributeError, LookupError, TypeError, ValueError):
+            found = None
+        if found is None:
+            self.fallbacks["invalid"] += 1
+        else:
+            self.answered += 1
+        return found
+
+
+class EndpointUnderstander(_WithFallback):
     """Understands with an endpoint; falls back to the local understander.
 
     Args:
         endpoint: the endpoint.
         own: the local understander, used if the endpoint does not answer, or answers outside the
             domain.
-
-    Attributes:
-        answered: the number of the endpoint's answers used.
-        fallbacks: the number of fallbacks to the local understander, by reason: ``"no answer"`` and
-            ``"invalid"``.
     """
 
     def __init__(self, endpoint: Endpoint, own: Understander) -> None:
-        self._endpoint = endpoint
+        super().__init__(endpoint)
         self._own = own
-        self.answered = 0
-        self.fallbacks = {"no answer": 0, "invalid": 0}
 
     def asks(self, understood: Understood) -> bool:
         """Returns whether the system should ask again instead of acting."""
@@ -127,16 +145,9 @@ class EndpointUnderstander:
         """
         own = self._own(text, question)
         given = {"text": legible(text), "agent_said": str(question) if question is not None else ""}
-        try:
-            answer = self._endpoint.ask(_UNDERSTAND, given, self._schema())
-        except ConnectionError:
-            self.fallbacks["no answer"] += 1
-            return own
-        frame = self._checked(answer)
+        frame = self._asked(_UNDERSTAND, given, self._schema(), self._frame)
         if frame is None:
-            self.fallbacks["invalid"] += 1
             return own
-        self.answered += 1
         agrees = str(frame) == str(own.frame)
         confidence = own.confidence if agrees else max(own.confidence, self._own.threshold)
         return replace(own, frame=frame, confidence=confidence, unclear=(), source="endpoint")
@@ -151,46 +162,37 @@ class EndpointUnderstander:
             dont_care={"type": "array", "items": slots},
         )
 
-    def _checked(self, answer: Any) -> Frame | None:
+    def _frame(self, answer: Any) -> Frame | None:
         """Returns the frame of an answer in the domain's spelling; ``None`` if it is invalid."""
         lexicon, domain = self._own.lexicon, self._own.domain
-        try:
-            informs = {}
-            for item in answer["informs"]:
-                slot, value = item["slot"], item["value"]
-                link = lexicon.link(slot, str(value)[:200])
-                if slot in informs or len(link.values) != 1 or link.score < 0.9:
-                    return None
-                informs[slot] = link.values[0]
-            dont_care = dict.fromkeys(answer["dont_care"], ANY)
-            requests = tuple(dict.fromkeys(answer["requests"]))
-            is_known = (
-                answer["act"] in domain.acts
-                and set(dont_care) <= set(lexicon.slots) - set(informs)
-                and set(requests) <= set(domain.slots)
-            )
-            return Frame(answer["act"], informs | dont_care, requests) if is_known else None
-        except (KeyError, TypeError, ValueError):
-            return None
+        informs: dict[str, str] = {}
+        for item in answer["informs"]:
+            link = lexicon.link(item["slot"], str(item["value"])[:MAX_CHARACTERS])
+            if item["slot"] in informs or len(link.values) != 1 or link.score < _FITS:
+                return None
+            informs[item["slot"]] = link.values[0]
+        dont_care = dict.fromkeys(answer["dont_care"], ANY)
+        requests = tuple(dict.fromkeys(answer["requests"]))
+        is_known = (
+            answer["act"] in domain.acts
+            and set(dont_care) <= set(lexicon.slots) - set(informs)
+            and set(requests) <= set(domain.slots)
+        )
+        return Frame(answer["act"], informs | dont_care, requests) if is_known else None
 
 
-class EndpointGenerator:
+class EndpointGenerator(_WithFallback):
     """Phrases an agent's acts with an endpoint; falls back to the local generator.
 
     Args:
         endpoint: the endpoint.
         own: the local generator, used if the endpoint does not answer, or leaves out a value.
-
-    Attributes:
-        answered: the number of the endpoint's sentences used.
-        fallbacks: the number of fallbacks to the local generator, by reason.
     """
 
     def __init__(self, endpoint: Endpoint, own: Generator) -> None:
-        self._endpoint = endpoint
+        super().__init__(endpoint)
         self._own = own
-        self.answered = 0
-        self.fallbacks = {"no answer": 0, "invalid": 0}
+        self.clarify, self.check = own.clarify, own.check
 
     def agent(
         self,
@@ -202,31 +204,15 @@ class EndpointGenerator:
     ) -> str:
         """Returns an agent's sentence; the arguments are those of the local generator."""
         own = self._own.agent(frame, kept, session=session, turn=turn)
-        given = {"act": str(frame), "for_example": own}
-        try:
-            answer = self._endpoint.ask(_SPEAK, given, _schema(text={"type": "string"}))
-        except ConnectionError:
-            self.fallbacks["no answer"] += 1
-            return own
-        try:
-            text = legible(answer["text"])
-        except (KeyError, TypeError, AttributeError, TextError):
-            text = ""
         # The endpoint's sentence must say every value that the local one says.
-        said = [value for value in frame.informs.values() if value.lower() in own.lower()]
-        if not text or any(value.lower() not in text.lower() for value in said):
-            self.fallbacks["invalid"] += 1
-            return own
-        self.answered += 1
-        return text
+        values = [value.lower() for value in frame.informs.values() if value.lower() in own.lower()]
 
-    def clarify(self, understood: Understood, *, session: str | int = 0, turn: int = 0) -> str:
-        """Returns the local generator's question about what was not understood."""
-        return self._own.clarify(understood, session=session, turn=turn)
+        def read(answer: Any) -> str | None:
+            text = legible(answer["text"])
+            return text if all(value in text.lower() for value in values) else None
 
-    def check(self, values: Mapping[str, str], *, session: str | int = 0, turn: int = 0) -> str:
-        """Returns the local generator's question about whether some values are right."""
-        return self._own.check(values, session=session, turn=turn)
+        given = {"act": str(frame), "for_example": own}
+        return self._asked(_SPEAK, given, _schema(text={"type": "string"}), read) or own
 
 
 def _schema(**properties: Mapping[str, Any]) -> dict[str, Any]:
