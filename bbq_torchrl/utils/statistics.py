@@ -12,7 +12,7 @@ import warnings
 from dataclasses import dataclass, field
 from itertools import chain
 from statistics import fmean
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from scipy import special, stats
@@ -22,8 +22,6 @@ from bbq_torchrl.utils.reports import NONE
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
     from fractions import Fraction
-
-_Value = TypeVar("_Value")
 
 CONFIDENCE = 0.95
 """Confidence level of every interval."""
@@ -298,12 +296,11 @@ def kappa(by_person: Sequence[Sequence[tuple[bool, bool]]]) -> Estimate:
     return bootstrap(_kappa, by_person, [all_verdicts])
 
 
-def _kappa(pairs: Sequence[tuple[bool, bool]]) -> float:
-    verdicts = np.asarray(pairs, dtype=float).reshape(-1, 2)
-    agreed = float((verdicts[:, 0] == verdicts[:, 1]).mean()) if len(verdicts) else math.nan
-    one, other = verdicts.mean(0).tolist() if len(verdicts) else (0.0, 0.0)
+def _kappa(verdicts: Any) -> float:
+    agreed = (verdicts[:, 0] == verdicts[:, 1]).mean()
+    one, other = verdicts.mean(0)
     chance = one * other + (1 - one) * (1 - other)
-    return (agreed - chance) / (1 - chance) if chance < 1 else math.nan
+    return float((agreed - chance) / (1 - chance)) if chance < 1 else math.nan
 
 
 def auroc(by_person: Sequence[Sequence[tuple[float, bool]]]) -> Estimate:
@@ -319,41 +316,41 @@ def auroc(by_person: Sequence[Sequence[tuple[float, bool]]]) -> Estimate:
     return bootstrap(_auroc, by_person, [[(math.inf, True)], [(-math.inf, True)]])
 
 
-def _auroc(sessions: Sequence[tuple[float, bool]]) -> float:
-    scores, failed = np.asarray(sessions, dtype=float).reshape(-1, 2).T
-    failures, successes = failed.sum(), (1 - failed).sum()
+def _auroc(sessions: Any) -> float:
+    scores, has_failed = sessions.T
+    failures = has_failed.sum()
+    successes = len(sessions) - failures
     if not failures or not successes:
         return math.nan
-    wins = stats.rankdata(scores) @ failed - failures * (failures + 1) / 2
+    wins = stats.rankdata(scores) @ has_failed - failures * (failures + 1) / 2
     return float(wins / (failures * successes))
 
 
 def bootstrap(
-    statistic: Callable[[Sequence[_Value]], float],
-    by_person: Sequence[Sequence[_Value]],
-    doubtful: Sequence[Sequence[_Value]],
+    statistic: Callable[[Any], float],
+    by_person: Sequence[Sequence[tuple[float, float]]],
+    doubtful: Sequence[Sequence[tuple[float, float]]],
     resamples: int = 2_000,
 ) -> Estimate:
     """Returns a statistic with its 95 % percentile bootstrap interval over participants.
 
     Args:
-        statistic: from the values of all sessions; NaN if they do not define it.
+        statistic: from the values of sessions, shape [sessions, 2]; NaN if they do not define it.
         by_person: the values of each participant's sessions.
         doubtful: participants who are added if all resamples are equal, such as those of a few
             sessions that all agree: they give the interval a width.
         resamples: the number of bootstrap samples.
     """
     people = [person for person in by_person if person]
-    value = statistic(list(chain(*people)))
+    value = statistic(np.array([*chain(*people)], dtype=float)) if people else math.nan
     if math.isnan(value) or len(people) < 2:
         return Estimate(value, spec=".2f")
     for drawn_from in (people, [*people, *doubtful]):
         count = len(drawn_from)
+        sessions = np.array([*chain(*drawn_from)], dtype=float)
+        whose = np.repeat(range(count), [len(person) for person in drawn_from])
         times = np.random.default_rng(0).multinomial(count, [1 / count] * count, resamples)
-        drawn = [
-            statistic([item for who in np.repeat(range(count), row) for item in drawn_from[who]])
-            for row in times
-        ]
+        drawn = [statistic(np.repeat(sessions, row[whose], axis=0)) for row in times]
         low, high = np.nanquantile(drawn, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]).tolist()
         if high - low > ROUNDING:
             break

@@ -1,7 +1,7 @@
 """Chat with a trained agent: the person's text becomes an act, and the agent's act a sentence.
 
 ``bbq chat <run folder>`` is the command line (extra ``chat``). :class:`Partner` is the same without
-a terminal, and :func:`~bbq_torchrl.people.study.agents.make_talker` makes the agents of a study.
+a terminal, and :func:`~bbq_torchrl.people.study.players.make_talker` makes the agents of a study.
 """
 
 from __future__ import annotations

@@ -7,7 +7,8 @@ if __name__ == "__main__":  # before anything that takes time to import
 
     interruption.listen()
 
-import importlib
+import os
+import pkgutil
 import sys
 from contextlib import closing, suppress
 from dataclasses import replace
@@ -15,7 +16,7 @@ from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.people.study.address import Address, is_everywhere, listen
+from bbq_torchrl.people.study.address import EVERYWHERE, Address, listen
 from bbq_torchrl.people.study.plan import StudyError, data_of, load_study
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.extras import needed
@@ -30,8 +31,8 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.dialogue import Talker
     from bbq_torchrl.people.study.plan import Study
 
-TALKER = "bbq_torchrl.people.study.agents:make_talker"
-USERS = "bbq_torchrl.people.study.users:make_users"
+TALKER = "bbq_torchrl.people.study.players:make_talker"
+USERS = "bbq_torchrl.people.study.players:make_users"
 """Names, not imports: the study depends on neither networks nor language."""
 
 MAX_CONNECTIONS = 1_000
@@ -41,7 +42,11 @@ MAX_CONNECTIONS = 1_000
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code: 2 if refused."""
     given = _parser().parse_args(arguments)
-    given.command(given)
+    before = os.umask(0o077)  # texts and secrets are for their owner alone
+    try:
+        given.command(given)
+    finally:
+        os.umask(before)
     return 0
 
 
@@ -132,7 +137,7 @@ def _serve(given: argparse.Namespace) -> None:
         output.print_error(f"loading the agents {', '.join(study.terms.agents)} ...")
         talker = make(study)
         interruption.tell(lambda: "while serving", lambda: "the same command continues the study")
-        if is_everywhere(given.host) and not study.terms.url:
+        if given.host in EVERYWHERE and not study.terms.url:
             output.print_error(
                 f"the links are for this machine; for people elsewhere set url in {given.study}"
             )
@@ -194,9 +199,8 @@ def _simulated(path: Path) -> Path:
 
 
 def _function(option: str, name: str) -> Callable[..., Any]:
-    module, _, function = name.partition(":")
     try:
-        found: Callable[..., Any] = getattr(importlib.import_module(module), function)
+        found: Callable[..., Any] = pkgutil.resolve_name(name)
     except (ImportError, AttributeError, ValueError) as error:
         text = f"it must be module:function that can be imported, got {shown(name)}: {error}"
         raise StudyError(option, [text]) from error
@@ -204,17 +208,17 @@ def _function(option: str, name: str) -> Callable[..., Any]:
 
 
 def _report(given: argparse.Namespace) -> None:
+    from bbq_torchrl.people.study.outcomes import read_outcomes
     from bbq_torchrl.people.study.report import write_report
-    from bbq_torchrl.people.study.results import read_results
 
     data, simulated = data_of(given.study), _simulated(given.study)
     if not data.exists() and data_of(simulated).exists():
         text = f"the study has not been served yet; its simulation: bbq study report {simulated}"
         raise StudyError(str(data), [text])
-    results = read_results(data)
+    outcomes = read_outcomes(data)
     folder = given.out or given.study.with_name(f"{given.study.stem}-report")
-    write_report(folder, results)
-    _say(f"{len(results.sessions)} ended sessions: {folder / 'report.md'}")
+    write_report(folder, outcomes)
+    _say(f"{len(outcomes.sessions)} ended sessions: {folder / 'report.md'}")
 
 
 def _participants(given: argparse.Namespace) -> None:
@@ -244,12 +248,11 @@ def _forget(given: argparse.Namespace) -> None:
 
 
 def _power(given: argparse.Namespace) -> None:
-    from bbq_torchrl.people.study.comparisons import power
+    from bbq_torchrl.people.study.outcomes import power
 
     found = power(**{name: value for name, value in vars(given).items() if name != "command"})
-    _say(f"power of the sign-flip test, the declared one: {found.sign_flip:.3f}")
-    _say(f"power of Fisher's exact test over all sessions: {found.fisher:.3f}")
-    _say(f"standard error of both: at most {found.standard_error:.3f}")
+    _say(f"power of the report's test: {found:.3f}")
+    _say(f"standard error: at most {0.5 / given.simulations**0.5:.3f}")
 
 
 def _say(line: str) -> None:

@@ -6,11 +6,10 @@ import hashlib
 import re
 import threading
 from contextlib import contextmanager
-from http import HTTPStatus
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.people.dialogue.judge import Judge
-from bbq_torchrl.people.study.records import SCALES, current
+from bbq_torchrl.people.study.database import SCALES, current
 from bbq_torchrl.people.study.store import JoinRateError
 from bbq_torchrl.utils.text import TextError, clean
 
@@ -20,8 +19,8 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Goal
     from bbq_torchrl.domains.frames import Frame
     from bbq_torchrl.people.dialogue import Talker
+    from bbq_torchrl.people.study.database import Exchange, Session
     from bbq_torchrl.people.study.plan import Study
-    from bbq_torchrl.people.study.records import Session, StoredExchange
     from bbq_torchrl.people.study.store import Store
 
 _NONCE = re.compile(r"[A-Za-z0-9_-]{20,40}", re.ASCII)
@@ -38,7 +37,7 @@ class RefusedError(ValueError):
         text: the sentence on the page.
     """
 
-    def __init__(self, status: HTTPStatus, text: str) -> None:
+    def __init__(self, status: int, text: str) -> None:
         self.status = status
         super().__init__(text)
 
@@ -69,19 +68,16 @@ class Conversations:
         """
         nonce = _nonce(form)
         if form.get("consent") != "yes":
-            raise RefusedError(
-                HTTPStatus.UNPROCESSABLE_ENTITY, "To take part, please tick the box first."
-            )
+            raise RefusedError(422, "To take part, please tick the box first.")
         try:
             token = self._store.enroll(nonce, ids)
         except JoinRateError as error:
             raise RefusedError(
-                HTTPStatus.TOO_MANY_REQUESTS,
-                "Many people are joining just now. Please begin again in a minute.",
+                429, "Many people are joining just now. Please begin again in a minute."
             ) from error
         if token is None:
             raise RefusedError(
-                HTTPStatus.CONFLICT,
+                409,
                 "All places in this study are taken. Thank you for your interest; should "
                 "somebody leave, this page will let you in later.",
             )
@@ -98,17 +94,18 @@ class Conversations:
             if any(item.nonce == nonce for item in exchanges):
                 return
             if session.is_ended:
-                raise RefusedError(
-                    HTTPStatus.CONFLICT, "That conversation has ended; your message was not sent."
-                )
+                raise RefusedError(409, "That conversation has ended; your message was not sent.")
             number = len(exchanges) + 1
             if form.get("turn") != str(number):
                 raise RefusedError(
-                    HTTPStatus.CONFLICT,
+                    409,
                     "This conversation has continued in another window. Here it is as it is now; "
                     "your last message was not sent.",
                 )
-            text = _message(form)
+            try:
+                text = clean(form.get("text", ""))
+            except TextError as error:
+                raise RefusedError(422, f"Your message was not sent: {error}.") from error
             state = exchanges[-1].state if exchanges else None
             reply = self._talker.reply(session.agent, state, text, seed_of(session.id, number))
             said = [*_frames(exchanges), (reply.understood, reply.answered)]
@@ -128,9 +125,7 @@ class Conversations:
         with self._step(token, form) as (session, _):
             exchanges = self._store.exchanges(session.id)
             if not exchanges:
-                raise RefusedError(
-                    HTTPStatus.CONFLICT, "Please say something to the assistant before you end."
-                )
+                raise RefusedError(409, "Please say something to the assistant before you end.")
             reasons = self._judge.reasons(self._goal(session), _frames(exchanges))
             self._store.end(session, "person", reasons)
 
@@ -141,25 +136,18 @@ class Conversations:
             RefusedError: a rating is missing or out of range, or the session was rated before.
         """
         with self._step(token, form) as (session, nonce):
-            rated = self._store.rating_nonce(session.id)
-            if rated == nonce:
+            if session.rating_nonce == nonce:
                 return
-            if rated is not None:
+            if session.is_rated:
                 raise RefusedError(
-                    HTTPStatus.CONFLICT,
-                    "You have rated this conversation already; your first ratings count.",
+                    409, "You have rated this conversation already; your first ratings count."
                 )
             if not session.is_ended:
-                raise RefusedError(
-                    HTTPStatus.CONFLICT, "Please end the conversation before you rate it."
-                )
+                raise RefusedError(409, "Please end the conversation before you rate it.")
             scales = {name: _rating(name, form.get(name, "")) for name in SCALES}
             verdict = {"yes": True, "no": False}.get(form.get("verdict", ""))
             if verdict is None:
-                raise RefusedError(
-                    HTTPStatus.UNPROCESSABLE_ENTITY,
-                    "Please say whether you got what you wanted: yes or no.",
-                )
+                raise RefusedError(422, "Please say whether you got what you wanted: yes or no.")
             self._store.rate(session, nonce, scales, verdict)
 
     @contextmanager
@@ -189,30 +177,16 @@ def ids_of(names: Sequence[str], values: Callable[[str], Sequence[str]]) -> dict
         if len(given) == 1 and _ID.fullmatch(given[0]):
             found[name] = given[0]
         elif given or name == names[0]:
-            problem = (
-                "is missing"
-                if not given
-                else "comes more than once"
-                if len(given) > 1
-                else "is no id of up to 128 letters, digits and . : @ + = ~ _ -"
+            raise RefusedError(
+                400,
+                f"In the link to this page {name} must be one id of up to 128 letters, digits and "
+                ". : @ + = ~ _ -. Please open the study once more from where you were invited.",
             )
-            text = "Please open the study once more from where you were invited."
-            status = HTTPStatus.BAD_REQUEST
-            raise RefusedError(status, f"In the link to this page {name} {problem}. {text}")
     return found
 
 
-def _message(form: Mapping[str, str]) -> str:
-    try:
-        return clean(form.get("text", ""))
-    except TextError as error:
-        raise RefusedError(
-            HTTPStatus.UNPROCESSABLE_ENTITY, f"Your message was not sent: {error}."
-        ) from error
-
-
-def _frames(exchanges: Sequence[StoredExchange]) -> list[tuple[Frame, Frame]]:
-    return [(item.heard, item.said) for item in exchanges]
+def _frames(exchanges: Sequence[Exchange]) -> list[tuple[Frame, Frame]]:
+    return [(item.understood, item.answered) for item in exchanges]
 
 
 def seed_of(*parts: object) -> int:
@@ -225,8 +199,7 @@ def _nonce(form: Mapping[str, str]) -> str:
     nonce = form.get("nonce", "")
     if not _NONCE.fullmatch(nonce):
         raise RefusedError(
-            HTTPStatus.BAD_REQUEST,
-            "This form is incomplete: please open your link again and use the form there.",
+            400, "This form is incomplete: please open your link again and use the form there."
         )
     return nonce
 
@@ -238,16 +211,12 @@ def _session(sessions: Sequence[Session], form: Mapping[str, str]) -> Session:
         if str(session.position) == given and (session.is_rated or session is now):
             return session
     raise RefusedError(
-        HTTPStatus.BAD_REQUEST,
-        "This form is of no conversation of yours: please open your link again.",
+        400, "This form is of no conversation of yours: please open your link again."
     )
 
 
 def _rating(name: str, given: str) -> int:
     if given not in ("1", "2", "3", "4", "5"):
         shown = given[:20] or "nothing"
-        raise RefusedError(
-            HTTPStatus.UNPROCESSABLE_ENTITY,
-            f"Please rate {name} by a whole number from 1 to 5, got {shown}.",
-        )
+        raise RefusedError(422, f"Please rate {name} by a whole number from 1 to 5, got {shown}.")
     return int(given)

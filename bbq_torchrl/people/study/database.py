@@ -1,52 +1,61 @@
-"""The SQLite file of a study: opened by one server, never half written."""
+"""The SQLite file of a study: opened by one server, never half written; and its records."""
 
 from __future__ import annotations
 
-import os
+import json
 import sqlite3
 from contextlib import closing, contextmanager
-from typing import TYPE_CHECKING
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 from filelock import FileLock, Timeout
 
+from bbq_torchrl.domains.frames import Frame
 from bbq_torchrl.people.study.plan import StudyError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterator, Mapping, Sequence
     from pathlib import Path
 
-_SCHEMAS = (
-    """
+SCALES = ("overall", "naturalness", "coherence", "completion")
+"""The scales that participants rate from 1 to 5; the first is the paper's only one."""
+
+LOWEST, HIGHEST = 1, 5
+"""The lowest and the highest rating."""
+
+_VERSION = 3
+_SCHEMA = """
 CREATE TABLE study (
     id INTEGER PRIMARY KEY CHECK (id = 1),
     terms TEXT NOT NULL,
+    fingerprints TEXT NOT NULL,
     package TEXT NOT NULL,
     secret TEXT NOT NULL,
     simulated INTEGER NOT NULL CHECK (simulated IN (0, 1)),
     created REAL NOT NULL
-) STRICT;
-CREATE TABLE agent (
-    name TEXT PRIMARY KEY,
-    fingerprint TEXT NOT NULL
 ) STRICT;
 CREATE TABLE person (
     id INTEGER PRIMARY KEY,
     token TEXT NOT NULL UNIQUE,
     place INTEGER NOT NULL,
     enrolled REAL NOT NULL,
-    active REAL NOT NULL
+    active REAL NOT NULL,
+    ids TEXT NOT NULL
 ) STRICT;
 CREATE INDEX person_by_place ON person (place);
 CREATE TABLE session (
     id INTEGER PRIMARY KEY,
     person INTEGER NOT NULL REFERENCES person,
     position INTEGER NOT NULL,
-    agent TEXT NOT NULL REFERENCES agent,
+    agent TEXT NOT NULL,
     goal INTEGER NOT NULL,
     ended REAL,
     ended_by TEXT CHECK (ended_by IN ('agent', 'person', 'turns')),
-    success INTEGER CHECK (success IN (0, 1)),
     reasons TEXT,
+    rated REAL,
+    rating_nonce TEXT,
+    ratings TEXT,
+    verdict INTEGER CHECK (verdict IN (0, 1)),
     UNIQUE (person, position)
 ) STRICT;
 CREATE TABLE exchange (
@@ -56,47 +65,18 @@ CREATE TABLE exchange (
     at REAL NOT NULL,
     text TEXT NOT NULL,
     answer TEXT NOT NULL,
-    heard TEXT NOT NULL,
-    said TEXT NOT NULL,
+    understood TEXT NOT NULL,
+    answered TEXT NOT NULL,
+    confidence REAL,
     beliefs TEXT,
     state TEXT NOT NULL,
     PRIMARY KEY (session, number),
     UNIQUE (session, nonce)
 ) STRICT;
-CREATE TABLE rating (
-    session INTEGER PRIMARY KEY REFERENCES session,
-    nonce TEXT NOT NULL,
-    at REAL NOT NULL,
-    overall INTEGER NOT NULL CHECK (overall BETWEEN 1 AND 5),
-    naturalness INTEGER NOT NULL CHECK (naturalness BETWEEN 1 AND 5),
-    coherence INTEGER NOT NULL CHECK (coherence BETWEEN 1 AND 5),
-    completion INTEGER NOT NULL CHECK (completion BETWEEN 1 AND 5),
-    verdict INTEGER NOT NULL CHECK (verdict IN (0, 1))
-) STRICT;
-""",
-    """
-CREATE TABLE recruited (
-    person INTEGER PRIMARY KEY REFERENCES person,
-    participant TEXT NOT NULL UNIQUE,
-    ids TEXT NOT NULL
-) STRICT;
-""",
-)
-"""The additions of each version to those before."""
-_VERSION = len(_SCHEMAS)
-_MISSING = "CREATE TEMP TABLE recruited (person INTEGER, participant TEXT, ids TEXT)"
-"""A stand-in for the table that version 1 lacks, for reading and for deleting participants."""
-
-SIDE_FILES = ("-wal", "-shm", "-journal")
-"""The suffixes of the files that SQLite keeps next to a study's file."""
-
-PRIVATE = 0o600
-"""Mode of all files of a study: they have participants' texts and the secret behind all links."""
+"""
 
 BUSY_SECONDS = 5.0
 """The time that a change waits for others."""
-
-_SQLITE = (3, 37, 0)  # the first with STRICT tables
 
 
 class StoreError(StudyError):
@@ -112,116 +92,65 @@ class StoreError(StudyError):
 
 
 @contextmanager
-def writing(path: Path) -> Iterator[sqlite3.Connection]:
-    """Opens a study's file for one server, and creates or extends it if needed.
+def serving(path: Path) -> Iterator[sqlite3.Connection]:
+    """Opens a study's file for one server, and creates it if needed.
 
     Raises:
-        StoreError: another server uses the file, or it is newer, damaged, read-only or foreign.
+        StoreError: another server uses the file, or it is of another version, damaged, read-only or
+            foreign.
+        OSError: its lock file cannot be made.
     """
-    if sqlite3.sqlite_version_info < _SQLITE:
-        raise StoreError(path, f"it needs SQLite 3.37 or newer, this is {sqlite3.sqlite_version}")
-    if not path.parent.is_dir():
-        raise StoreError(path, "its folder does not exist")
     try:
-        lock = FileLock(path.with_name(f"{path.name}.lock"), mode=PRIVATE).acquire(timeout=0)
+        lock = FileLock(path.with_name(f"{path.name}.lock")).acquire(timeout=0)
     except Timeout as error:
         text = "another server is at work on it: end that one, or wait"
         raise StoreError(path, text) from error
-    except OSError as error:
-        raise StoreError(path, f"it cannot be used: {error.strerror}") from error
-    with lock, as_store_errors(path), closing(_private(path)) as connection:
-        version = _check(path, connection)
-        for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
-            connection.execute(f"PRAGMA {pragma}")
-        # Written even if unchanged, to detect a read-only file system now.
-        script = "".join(_SCHEMAS[version:])
-        connection.executescript(
-            f"BEGIN IMMEDIATE; {script} PRAGMA user_version = {_VERSION}; COMMIT;"
-        )
-        yield connection
+    with lock, as_store_errors(path):
+        connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+        with closing(connection):
+            if connection.execute("SELECT COUNT(*) FROM sqlite_master").fetchone() == (0,):
+                connection.executescript(
+                    f"BEGIN IMMEDIATE; {_SCHEMA} PRAGMA user_version = {_VERSION}; COMMIT;"
+                )
+            _check(path, connection)
+            for pragma in ("journal_mode = WAL", "synchronous = FULL", "foreign_keys = ON"):
+                connection.execute(f"PRAGMA {pragma}")
+            yield connection
 
 
 @contextmanager
-def reading(path: Path) -> Iterator[sqlite3.Connection]:
-    """Opens a study's file for reading, even while a server is using it.
+def opened(path: Path, mode: str = "ro") -> Iterator[sqlite3.Connection]:
+    """Opens a study's file, even while a server is using it.
+
+    Args:
+        path: the SQLite file.
+        mode: ``ro`` for reading, as one snapshot for all queries, or ``rw`` for a change.
 
     Raises:
-        StoreError: there is no such file, or it is newer or damaged.
+        StoreError: there is no such file, or it is of another version, damaged or foreign.
     """
-    with _existing(path, "ro") as connection:
-        connection.execute("BEGIN")  # one snapshot for all queries
-        yield connection
-
-
-@contextmanager
-def changing(path: Path) -> Iterator[sqlite3.Connection]:
-    """Opens a study's file for a change, even while a server is using it.
-
-    Raises:
-        StoreError: as for :func:`reading`, or it cannot be written.
-    """
-    with _existing(path, "rw") as connection:
-        connection.execute("PRAGMA foreign_keys = ON")
-        yield connection
-
-
-@contextmanager
-def _existing(path: Path, mode: str) -> Iterator[sqlite3.Connection]:
     if not path.is_file():
         raise StoreError(path, "there is no such file: the study has not been served yet")
     address = f"{path.absolute().as_uri()}?mode={mode}"
-    with (
-        as_store_errors(path),
-        closing(
-            sqlite3.connect(address, timeout=BUSY_SECONDS, uri=True, isolation_level=None)
-        ) as connection,
-    ):
-        version = _check(path, connection)
-        if not version:
-            raise StoreError(path, "it is empty: the study has not been served yet")
-        if version < _VERSION:  # only a server upgrades it: an older one may be using it
-            connection.execute(_MISSING)
-        yield connection
+    with as_store_errors(path):
+        connection = sqlite3.connect(address, BUSY_SECONDS, uri=True, isolation_level=None)
+        with closing(connection):
+            _check(path, connection)
+            connection.execute("PRAGMA foreign_keys = ON")
+            if mode == "ro":
+                connection.execute("BEGIN")
+            yield connection
 
 
-def _private(path: Path) -> sqlite3.Connection:
-    make_private(path)
-    return sqlite3.connect(path, isolation_level=None, check_same_thread=False)
-
-
-def make_private(path: Path) -> None:
-    """Makes a file private to its owner: a new one, or an existing one with its side files.
-
-    Raises:
-        StoreError: it cannot be created there, or its mode cannot be changed.
-    """
-    try:
-        if not path.exists():
-            os.close(os.open(path, os.O_CREAT | os.O_EXCL | os.O_WRONLY, PRIVATE))
-        for file in (path, *(path.with_name(path.name + end) for end in SIDE_FILES)):
-            if file.exists() and file.stat().st_mode & 0o077:
-                file.chmod(PRIVATE)
-    except OSError as error:
-        text = f"it cannot be made a file that its owner alone can read: {error.strerror}"
-        raise StoreError(path, text) from error
-
-
-def _check(path: Path, connection: sqlite3.Connection) -> int:
-    """Refuses a newer, damaged or foreign file. Returns the file's version."""
-    version = int(connection.execute("PRAGMA user_version").fetchone()[0])
-    if version > _VERSION:
-        raise StoreError(
-            path,
-            f"it is of version {version}, made by a newer bbq-torchrl; "
-            f"this one reads versions up to {_VERSION}",
-        )
+def _check(path: Path, connection: sqlite3.Connection) -> None:
+    """Refuses a damaged file, a foreign one, and one of another version."""
     found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
     if found != "ok":
         raise StoreError(path, f"it is damaged: {found}")
-    tables = connection.execute("SELECT name FROM sqlite_master WHERE type = 'table'").fetchall()
-    if version == 0 and tables:
-        raise StoreError(path, "it is a database, but not one of a study")
-    return version
+    version = connection.execute("PRAGMA user_version").fetchone()[0]
+    if version != _VERSION:
+        text = f"it is no study of version {_VERSION}, which this bbq-torchrl reads, but {version}"
+        raise StoreError(path, text)
 
 
 @contextmanager
@@ -230,13 +159,145 @@ def as_store_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:
-        text = str(error)
-        known = {
-            "full": "the disk is full: nothing of the last step was stored",
-            "readonly": "it is read-only: a study needs a file that it can write",
-            "not a database": "it is damaged, or no SQLite file",
-            "malformed": "it is damaged",
-            "unable to open": "it cannot be opened or made there",
-        }
-        said = next((says for key, says in known.items() if key in text), "SQLite says")
-        raise StoreError(path, f"{said} ({text})") from error
+        raise StoreError(path, f"SQLite says: {error}") from error
+
+
+@dataclass(frozen=True)
+class Exchange:
+    """A participant's text and the agent's answer.
+
+    Attributes:
+        number: the number in the session, from 1.
+        nonce: the nonce of the participant's message.
+        at: the time of storage, in seconds since 1970.
+        text: the participant's text.
+        answer: the agent's text.
+        understood: the act understood.
+        answered: the agent's act.
+        confidence: the nlu's confidence, or ``None``.
+        beliefs: the agent's beliefs, as plain data.
+        state: the talker's state.
+    """
+
+    number: int
+    nonce: str
+    at: float
+    text: str
+    answer: str
+    understood: Frame
+    answered: Frame
+    confidence: float | None
+    beliefs: Mapping[str, Any] | None
+    state: str
+
+    @classmethod
+    def of(cls, row: tuple[Any, ...]) -> Exchange:
+        """Returns the exchange in a row of :data:`EXCHANGES`."""
+        number, nonce, at, text, answer, understood, answered, confidence, beliefs, state = row
+        content = None if beliefs is None else json.loads(beliefs)
+        frames = _frame(understood), _frame(answered)
+        return cls(number, nonce, at, text, answer, *frames, confidence, content, state)
+
+
+def _frame(text: str) -> Frame:
+    content = json.loads(text)
+    listed = {key: tuple(content[key]) for key in ("requests", "choices")}
+    return Frame(**{**content, **listed})
+
+
+EXCHANGES = """
+    SELECT number, nonce, at, text, answer, understood, answered, confidence, beliefs, state
+    FROM exchange WHERE session = ? ORDER BY number
+"""
+"""Selects the rows of a session for :meth:`Exchange.of`, first to last."""
+
+
+@dataclass(frozen=True)
+class Session:
+    """A participant's past, current or future conversation.
+
+    Attributes:
+        id: the id in the file.
+        person: the participant's number.
+        position: the position among the participant's sessions, from 1.
+        agent: the agent's name.
+        goal: number of the goal in the domain, from 1.
+        ended_by: ``agent``, ``person`` or ``turns``; ``None`` before the end.
+        reasons: the reasons for a failure.
+        rating_nonce: the nonce of the rating; ``None`` before the participant rates.
+        ratings: scale to 1 to 5; ``None`` before the participant rates.
+        verdict: the participant's verdict; ``None`` before they rate.
+        messages: the number of messages that the participant has sent.
+    """
+
+    id: int
+    person: str
+    position: int
+    agent: str
+    goal: int
+    ended_by: str | None
+    reasons: tuple[str, ...]
+    rating_nonce: str | None
+    ratings: Mapping[str, int] | None
+    verdict: bool | None
+    messages: int
+
+    @property
+    def is_ended(self) -> bool:
+        """True once the conversation has ended."""
+        return self.ended_by is not None
+
+    @property
+    def success(self) -> bool:
+        """The judge's verdict; false before the end."""
+        return self.is_ended and not self.reasons
+
+    @property
+    def is_rated(self) -> bool:
+        """True once the participant has rated it."""
+        return self.ratings is not None
+
+    @classmethod
+    def of(cls, row: tuple[Any, ...]) -> Session:
+        """Returns the session in a row of :data:`SESSIONS`."""
+        number, person, *plan, reasons, nonce, ratings, verdict, messages = row
+        position, agent, goal, ended_by = plan
+        return cls(
+            *(number, str(person), position, agent, goal, ended_by),
+            *(tuple(json.loads(reasons or "[]")), nonce, json.loads(ratings or "null")),
+            *(None if verdict is None else bool(verdict), messages),
+        )
+
+
+SESSIONS = """
+    SELECT id, person, position, agent, goal, ended_by, reasons, rating_nonce, ratings, verdict,
+           (SELECT COUNT(*) FROM exchange WHERE exchange.session = session.id)
+    FROM session
+"""
+"""Selects the rows for :meth:`Session.of`."""
+
+NOT_FORGOTTEN = "WHERE place >= 0"
+"""Condition on the table ``person``: the others are forgotten, and only their number is left."""
+
+IS_FINISHED = """NOT EXISTS (
+    SELECT 1 FROM session WHERE session.person = person.id AND rated IS NULL
+)"""
+"""Condition on the table ``person``: the participant has rated all their conversations."""
+
+TAKEN = f"""
+    SELECT DISTINCT place FROM person
+    WHERE active > ? AND (
+        enrolled > ?
+        OR EXISTS (
+            SELECT 1 FROM session JOIN exchange ON exchange.session = session.id
+            WHERE session.person = person.id
+        )
+    ) OR {IS_FINISHED}
+"""
+"""Selects the places that nobody else gets; the parameters are the earliest times of activity and,
+if nothing has been said yet, of enrollment."""
+
+
+def current(sessions: Sequence[Session]) -> Session | None:
+    """Returns the first session that is not rated; ``None`` after a participant's last."""
+    return next((session for session in sessions if not session.is_rated), None)

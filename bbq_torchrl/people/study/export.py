@@ -5,7 +5,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import os
 import re
 import sqlite3
 from contextlib import closing
@@ -14,32 +13,24 @@ from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.people.study.database import (
-    PRIVATE,
-    SIDE_FILES,
-    StoreError,
-    as_store_errors,
-    changing,
-    make_private,
-    reading,
-)
-from bbq_torchrl.people.study.plan import StudyError, Terms
-from bbq_torchrl.people.study.records import (
     IS_FINISHED,
     NOT_FORGOTTEN,
     SCALES,
-    act_content,
-    act_text,
+    StoreError,
+    as_store_errors,
+    opened,
 )
-from bbq_torchrl.people.study.results import report_names
+from bbq_torchrl.people.study.outcomes import report_names
+from bbq_torchrl.people.study.plan import StudyError
 from bbq_torchrl.people.study.store import hashed
 from bbq_torchrl.utils.files import write_text
 from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
-    from bbq_torchrl.people.study.results import Results
+    from bbq_torchrl.people.study.outcomes import Outcome, Outcomes
 
 
 _FORMULA = ("=", "+", "-", "@")
@@ -57,7 +48,7 @@ _REPLACED = (
 )
 
 
-def export(folder: Path, results: Results) -> None:
+def export(folder: Path, outcomes: Outcomes) -> None:
     """Writes ``sessions.csv``, ``exchanges.csv`` and ``sessions.jsonl``.
 
     Participants are ``P1``, ``P2``, ...; times are seconds since a session's first answer. In CSV
@@ -66,80 +57,62 @@ def export(folder: Path, results: Results) -> None:
 
     Args:
         folder: the output folder.
-        results: the study's results.
+        outcomes: the study's outcomes.
     """
-    head = ("session", "person", "position", "agent", "goal", "ended_by", "success", "reasons")
-    rows = [
-        (
-            *(item.id, item.person, item.position, item.agent, item.goal, item.ended_by),
-            *(int(item.success), "; ".join(item.reasons)),
-            *(item.ratings[name] if item.ratings else "" for name in SCALES),
-            "" if item.verdict is None else int(item.verdict),
-            len(item.exchanges),
-            "" if item.entropy is None else item.entropy,
-            int(results.simulated),
+    sessions, exchanges, lines = [], [], []
+    for item in outcomes.sessions:
+        spoken = list(_exchanges(item))
+        content = {**asdict(item), "exchanges": spoken, "simulated": outcomes.simulated}
+        for key in ("rating_nonce", "messages"):
+            del content[key]
+        lines.append(json.dumps(content, ensure_ascii=False) + "\n")
+        about = ("person", "position", "agent", "goal", "ended_by")
+        sessions.append(
+            {
+                "session": item.id,
+                **{key: content[key] for key in about},
+                "success": int(item.success),
+                "reasons": "; ".join(item.reasons),
+                **{scale: item.ratings[scale] if item.ratings else "" for scale in SCALES},
+                "own_verdict": "" if item.verdict is None else int(item.verdict),
+                "exchanges": item.messages,
+                "entropy": item.entropy(),
+                "simulated": int(outcomes.simulated),
+            }
         )
-        for item in results.sessions
-    ]
-    columns = (*head, *SCALES, "own_verdict", "exchanges", "entropy", "simulated")
-    write_text(folder / "sessions.csv", _csv(columns, rows), PRIVATE)
-    said = ("session", "number", "seconds", "text", "answer", "heard", "said")
-    columns_said = (*said, "entropy", "simulated")
-    write_text(folder / "exchanges.csv", _csv(columns_said, _exchange_rows(results)), PRIVATE)
-    write_text(folder / "sessions.jsonl", "".join(_lines(results)), PRIVATE)
+        texts = ("number", "seconds", "text", "answer")
+        for said, stored in zip(spoken, item.exchanges, strict=True):
+            exchanges.append(
+                {
+                    "session": item.id,
+                    **{key: said[key] for key in texts},
+                    "understood": without_names(str(stored.understood)),
+                    "answered": without_names(str(stored.answered)),
+                    "entropy": stored.beliefs["entropy"] if stored.beliefs else "",
+                    "simulated": int(outcomes.simulated),
+                }
+            )
+    _write_csv(folder / "sessions.csv", sessions)
+    _write_csv(folder / "exchanges.csv", exchanges)
+    write_text(folder / "sessions.jsonl", "".join(lines))
 
 
-_PARTICIPANTS = f"""
-    SELECT person.id, token, ids, enrolled, active,
-           (SELECT COUNT(*) FROM session JOIN rating ON rating.session = session.id
-            WHERE session.person = person.id),
-           {IS_FINISHED}
-    FROM person LEFT JOIN recruited ON recruited.person = person.id
-    {NOT_FORGOTTEN} ORDER BY person.id
-"""
+def _exchanges(item: Outcome) -> Iterable[dict[str, Any]]:
+    """Yields a session's exchanges as plain data, without names and the talker's state."""
+    for stored in item.exchanges:
+        content = {"seconds": round(stored.at - item.exchanges[0].at, 3), **asdict(stored)}
+        for key in ("at", "nonce", "state"):  # the talker's state may repeat texts
+            del content[key]
+        yield _anonymous(content)
 
 
-def export_participants(file: Path, data: Path) -> int:
-    """Writes participants' ids from the join link and their progress, for payment.
-
-    The file identifies the participants in a report, so it is separate from the report.
-
-    Args:
-        file: the CSV file.
-        data: the study's SQLite file.
-
-    Returns:
-        The number of participants in it.
-
-    Raises:
-        StoreError: the study's file cannot be read.
-    """
-    with reading(data) as connection:
-        [terms] = connection.execute("SELECT terms FROM study").fetchone()
-        people = connection.execute(_PARTICIPANTS).fetchall()
-    names = report_names([(number, token) for number, token, *_ in people])
-    ids = [json.loads(stored or "{}") for _, _, stored, *_ in people]
-    # The study file may have named other parameters before.
-    parameters = dict.fromkeys(
-        [*Terms.of(terms).join_parameters, *(key for one in ids for key in one)]
-    )
-    rows = [
-        (
-            *(number, names[str(number)]),
-            *(found.get(name, "") for name in parameters),
-            *(_utc(enrolled), _utc(active), rated, finished),
-        )
-        for found, (number, _, _, enrolled, active, rated, finished) in zip(
-            ids, people, strict=True
-        )
-    ]
-    head = ("person", "name_in_report", *parameters, "joined", "last_active", "rated", "finished")
-    write_text(file, _csv(head, rows), PRIVATE)
-    return len(rows)
-
-
-def _utc(seconds: float) -> str:
-    return datetime.fromtimestamp(seconds, timezone.utc).isoformat(timespec="seconds")
+def _anonymous(content: Any) -> Any:
+    """Returns plain data with :func:`without_names` applied to every text."""
+    if isinstance(content, str):
+        return without_names(content)
+    if isinstance(content, dict):
+        return {key: _anonymous(value) for key, value in content.items()}
+    return [_anonymous(item) for item in content] if isinstance(content, list | tuple) else content
 
 
 def without_names(text: str) -> str:
@@ -167,81 +140,95 @@ def defused(cell: Any) -> Any:
     return f"'{cell}" if is_formula else cell
 
 
-def _csv(head: Sequence[str], rows: Iterable[Sequence[Any]]) -> str:
+def _write_csv(file: Path, rows: Iterable[Mapping[str, Any]]) -> None:
+    """Writes rows of the same keys, which head the columns."""
     text = io.StringIO()
     text.write("\ufeff")
     writer = csv.writer(text)
-    writer.writerow(head)
-    writer.writerows([defused(cell) for cell in row] for row in rows)
-    return text.getvalue()
+    for number, row in enumerate(rows):
+        if number == 0:
+            writer.writerow(row)
+        writer.writerow(map(defused, row.values()))
+    write_text(file, text.getvalue())
 
 
-def _exchange_rows(results: Results) -> Iterable[Sequence[Any]]:
-    for item in results.sessions:
-        for said in item.exchanges:
-            yield (
-                *(item.id, said.number, round(said.at - item.exchanges[0].at, 3)),
-                *(without_names(said.text), without_names(said.answer)),
-                *(without_names(act_text(said.heard)), without_names(act_text(said.said))),
-                said.beliefs["entropy"] if said.beliefs else "",
-                int(results.simulated),
-            )
+_PARTICIPANTS = f"""
+    SELECT person.id, token, ids, enrolled, active,
+           (SELECT COUNT(rated) FROM session WHERE session.person = person.id), {IS_FINISHED}
+    FROM person {NOT_FORGOTTEN} ORDER BY person.id
+"""
 
 
-def _lines(results: Results) -> Iterable[str]:
-    for item in results.sessions:
-        content = asdict(item)
-        for said, stored in zip(content["exchanges"], item.exchanges, strict=True):
-            said["seconds"] = round(said.pop("at") - item.exchanges[0].at, 3)
-            said["text"] = without_names(stored.text)
-            said["answer"] = without_names(stored.answer)
-            said["heard"] = act_content(stored.heard, said.pop("confidence"))
-            said["said"] = act_content(stored.said)
-            for frame in (said["heard"], said["said"]):
-                frame["informs"] = {
-                    slot: without_names(value) for slot, value in frame["informs"].items()
-                }
-            del said["state"], said["nonce"]  # the talker's state may repeat texts
-        del content["messages"]
-        line = {**content, "simulated": results.simulated}
-        yield json.dumps(line, ensure_ascii=False) + "\n"
+def export_participants(file: Path, data: Path) -> int:
+    """Writes participants' ids from the join link and their progress, for payment.
+
+    The file identifies the participants in a report, so it is separate from the report.
+
+    Args:
+        file: the CSV file.
+        data: the study's SQLite file.
+
+    Returns:
+        The number of participants in it.
+
+    Raises:
+        StoreError: the study's file cannot be read.
+    """
+    with opened(data) as connection:
+        [terms] = connection.execute("SELECT terms FROM study").fetchone()
+        people = connection.execute(_PARTICIPANTS).fetchall()
+    names = report_names([(number, token) for number, token, *_ in people])
+    ids = [json.loads(stored) for _, _, stored, *_ in people]
+    # The study file may have named other parameters before.
+    named = [*json.loads(terms)["join_parameters"], *(key for of in ids for key in of)]
+    parameters = dict.fromkeys(named)
+    rows = [
+        {
+            "person": number,
+            "name_in_report": names[str(number)],
+            **{key: of.get(key, "") for key in parameters},
+            "joined": _utc(enrolled),
+            "last_active": _utc(active),
+            "rated": rated,
+            "finished": finished,
+        }
+        for of, (number, _, _, enrolled, active, rated, finished) in zip(ids, people, strict=True)
+    ]
+    _write_csv(file, rows)
+    return len(rows)
 
 
-_NUMBER = re.compile("[0-9]{1,18}")
-_LINK = re.compile(r".*/p/([\w-]+)/?", re.ASCII)
+def _utc(seconds: float) -> str:
+    return datetime.fromtimestamp(seconds, timezone.utc).isoformat(timespec="seconds")
 
 
 def backup(data: Path, target: Path) -> None:
-    """Copies a snapshot of a study's file. The copy is one file, private to its owner.
+    """Copies a snapshot of a study's file. The copy is one file.
 
     Args:
         data: the SQLite file.
         target: the copy, which must not exist.
 
     Raises:
-        StoreError: the file cannot be read, or the copy cannot be created there.
+        StoreError: the file cannot be read.
+        OSError: the copy cannot be created there.
     """
-    kept = [data, *(data.with_name(data.name + end) for end in (*SIDE_FILES, ".lock"))]
-    if target.resolve() in [path.resolve() for path in kept]:
-        raise StoreError(target, "it is of the living study: name another file for the copy")
-    if target.exists() or target.is_symlink():
-        raise StoreError(target, "it exists already: name a file that does not exist")
-    if not target.parent.is_dir():
-        raise StoreError(target, "its folder does not exist")
-    temporary = target.with_name(f".{target.name}.new")
-    temporary.unlink(missing_ok=True)  # left by a killed process
+    target.touch(exist_ok=False)
     try:
-        make_private(temporary)
         with (
-            reading(data) as connection,
+            opened(data) as connection,
             as_store_errors(target),
-            closing(sqlite3.connect(temporary)) as copy,
+            closing(sqlite3.connect(target)) as copy,
         ):
             connection.backup(copy)
             copy.execute("PRAGMA journal_mode = DELETE")  # one file, without side files
-        os.replace(temporary, target)
-    finally:
-        temporary.unlink(missing_ok=True)
+    except BaseException:
+        target.unlink()
+        raise
+
+
+_NUMBER = re.compile("[0-9]{1,18}")
+_LINK = re.compile(r".*/p/([\w-]+)/?", re.ASCII)
 
 
 def forget(data: Path, participant: str) -> int:
@@ -266,19 +253,16 @@ def forget(data: Path, participant: str) -> int:
         text = f"it must be a person's number on your page or their link, got {shown(participant)}"
         raise StudyError("participant", [text])
     column, value = ("token", hashed(link[1])) if link else ("id", int(participant))
-    with changing(data) as connection:
+    with opened(data, "rw") as connection:
         connection.execute("BEGIN IMMEDIATE")
         found = connection.execute(f"SELECT id FROM person WHERE {column} = ?", (value,)).fetchone()
         if found is None:
             raise StoreError(data, f"there is nobody of the {'link' if link else 'number'} given")
-        sessions = "(SELECT id FROM session WHERE person = ?)"
         for statement in (
-            f"DELETE FROM rating WHERE session IN {sessions}",
-            f"DELETE FROM exchange WHERE session IN {sessions}",
+            "DELETE FROM exchange WHERE session IN (SELECT id FROM session WHERE person = ?)",
             "DELETE FROM session WHERE person = ?",
-            "DELETE FROM recruited WHERE person = ?",
-            "UPDATE person SET token = 'forgotten ' || id, place = -1, enrolled = 0, active = 0 "
-            "WHERE id = ?",
+            "UPDATE person SET token = 'forgotten ' || id, place = -1, enrolled = 0, active = 0, "
+            "ids = '{}' WHERE id = ?",
         ):
             connection.execute(statement, found)
         connection.execute("COMMIT")

@@ -1,161 +1,166 @@
-"""The report of a study: tables, tests, flags, the two figures and the data."""
+"""The report of a study: tables, tests, flags, figures and the data."""
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from io import BytesIO
+from functools import partial
 from itertools import chain
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from bbq_torchrl.people.study.comparisons import compare_pairs
-from bbq_torchrl.people.study.database import PRIVATE
+from bbq_torchrl.people.study.database import HIGHEST, LOWEST, SCALES
 from bbq_torchrl.people.study.export import export
-from bbq_torchrl.people.study.records import HIGHEST, LOWEST, SCALES
+from bbq_torchrl.people.study.outcomes import compare_pairs
 from bbq_torchrl.people.study.simulate import RATING_RULE
-from bbq_torchrl.utils.files import write_bytes, write_text
-from bbq_torchrl.utils.reports import table
+from bbq_torchrl.utils.reports import Report, Table, add_legend, draw_intervals, subplots
 from bbq_torchrl.utils.statistics import auroc, kappa, participant_mean, proportion
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Collection, Iterator, Sequence
     from pathlib import Path
 
-    from bbq_torchrl.people.study.comparisons import Comparison
-    from bbq_torchrl.people.study.results import Result, Results
+    from matplotlib.figure import Figure
+
+    from bbq_torchrl.people.study.outcomes import Comparison, Difference, Outcome, Outcomes
     from bbq_torchrl.utils.statistics import Estimate
 
 FIRST = 3
 """The number of a session's first answers whose entropy could warn in time."""
 
+_RATINGS = range(LOWEST, HIGHEST + 1)
+_COLORS = ("#D55E00", "#E6A277", "#DDDDDD", "#7FB3D5", "#0072B2")  # from the worst to the best
 
-def write_report(folder: Path, results: Results) -> None:
-    """Writes ``report.md``, ``success.png``, ``ratings.png`` and the data.
+
+def write_report(folder: Path, outcomes: Outcomes) -> None:
+    """Writes ``report.md`` with its tables and figures, and the data.
 
     Args:
         folder: the output folder, created if missing.
-        results: the study's results.
+        outcomes: the study's outcomes.
     """
-    folder.mkdir(parents=True, exist_ok=True)
-    export(folder, results)
-    if results.sessions:
-        draw_success(folder / "success.png", results, compare_pairs(results))
-        draw_ratings(folder / "ratings.png", results)
-    write_text(folder / "report.md", report_text(results), PRIVATE)
+    report(outcomes).write(folder)
+    export(folder, outcomes)
 
 
-def report_text(results: Results) -> str:
-    """Returns the report as Markdown."""
-    found = (_agents, _pairs, _ratings, _failures, _agreement, _uncertainty, _flags)
-    sections = (_head, *(found if results.sessions else (_nothing,)))
-    blocks = chain.from_iterable(section(results) for section in sections)
-    return "\n\n".join(blocks) + "\n"
+def report(outcomes: Outcomes) -> Report:
+    """Returns the report of a study."""
+    title = f"{outcomes.terms.name}{' (simulated users)' if outcomes.simulated else ''}"
+    if not outcomes.sessions:
+        nothing = "No session has ended yet: there is nothing to report."
+        return Report("report", title, [*_head(outcomes), nothing], {})
+    compared = compare_pairs(outcomes)
+    sections = (
+        *(_head(outcomes), _agents(outcomes), _pairs(outcomes, compared), _ratings(outcomes)),
+        *(_failures(outcomes), _agreement(outcomes), _uncertainty(outcomes), _flags(outcomes)),
+    )
+    success = {
+        f"{agent} (n = {_count(by_person)})": proportion(by_person)
+        for agent in outcomes.terms.agents
+        if (by_person := outcomes.successes(agent).values())
+    }
+    figures = {
+        "success": ("Success", partial(draw_intervals, {"success": success}, title=title)),
+        "ratings": ("Distribution of ratings", partial(draw_ratings, title, outcomes)),
+    }
+    if compared:
+        differences = {
+            f"{pair.better} – {pair.worse} (p {pair.success.holm} by Holm)": pair.success.mean
+            for pair in compared
+        }
+        panels = {"difference in success": differences}
+        draw = partial(draw_intervals, panels, title=title, limits=(-1.0, 1.0))
+        figures["differences"] = ("Differences of the declared pairs", draw)
+    return Report("report", title, list(chain(*sections)), figures)
 
 
-def _head(results: Results) -> Iterator[str]:
-    yield f"# {results.title}"
-    if results.simulated:
+def _head(outcomes: Outcomes) -> Iterator[str]:
+    if outcomes.simulated:
         yield f"**The people of this study are simulated users.** {RATING_RULE}"
-    rated = sum(session.is_rated for session in results.sessions)
+    rated = sum(session.is_rated for session in outcomes.sessions)
     yield (
-        f"{results.enrolled} {_who(results)} enrolled of {results.terms.participants} wanted; "
-        f"{len(results.sessions)} sessions ended, {rated} of them rated; {results.open} begun and "
-        f"not ended (they are in no number below). bbq-torchrl {results.package}."
+        f"{outcomes.enrolled} {_who(outcomes)} enrolled of {outcomes.terms.participants} wanted; "
+        f"{len(outcomes.sessions)} sessions ended, {rated} of them rated; {outcomes.open} begun "
+        f"and not ended (they are in no number below). bbq-torchrl {outcomes.package}."
     )
 
 
-def _nothing(_: Results) -> Iterator[str]:
-    yield "No session has ended yet: there is nothing to report."
-
-
-def _agents(results: Results) -> Iterator[str]:
+def _agents(outcomes: Outcomes) -> Iterator[str | Table]:
     yield "## Agents"
     rows = []
-    for agent in results.terms.agents:
-        by_person = results.successes(agent).values()
-        own = proportion(results.by_person(lambda item: item.verdict, agent).values())
-        bounds = LOWEST, HIGHEST
-        scales = [
-            participant_mean(results.ratings(agent, name).values(), bounds) for name in SCALES
-        ]
-        rows.append((agent, _count(by_person), proportion(by_person), own, *scales))
-    yield table(("agent", "sessions", "success", "own verdict", *SCALES), rows)
+    for agent in outcomes.terms.agents:
+        by_person = outcomes.successes(agent).values()
+        own = proportion(outcomes.by_person(lambda item: item.verdict, agent).values())
+        row = {"agent": agent, "sessions": _count(by_person)}
+        row |= {"success": proportion(by_person), "own verdict": own}
+        for scale in SCALES:
+            ratings = outcomes.ratings(agent, scale).values()
+            row[scale] = participant_mean(ratings, (LOWEST, HIGHEST))
+        rows.append(row)
+    yield Table("agents", rows)
     yield (
         "Means with 95 % intervals: Wilson's for success if everybody meets an agent once, else "
         "Student's t over people, as for ratings from 1 to 5. Where that would leave the scale, or "
         "has no width, two more people are counted, one at each end of the scale (Bonett and Price "
-        "2012); so it is for differences. Success is the judge's, by goal "
-        f"card and dialogue acts; own verdict is what {_who(results)} said."
+        "2012); so it is for differences. Success is the judge's, by goal card and dialogue acts; "
+        f"own verdict is what {_who(outcomes)} said."
     )
-    yield "![Success of each agent](success.png)"
 
 
-def _pairs(results: Results) -> Iterator[str]:
+def _pairs(outcomes: Outcomes, compared: Sequence[Comparison]) -> Iterator[str | Table]:
     yield "## Declared pairs"
-    if not results.terms.pairs:
+    if not compared:
         yield "No pair was declared, so nothing is tested."
         return
-    comparisons = compare_pairs(results)
-    yield _comparison_table(comparisons)
+    yield _compared("pairs", "success", compared)
     yield (
         "Primary: p of the sign-flip permutation test of people's differences in success, and "
-        "the same by Holm over all declared pairs. Fisher and Boschloo take sessions for "
-        "independent and stand beside it, unadjusted. The unit is the person."
+        "the same by Holm over all declared pairs. Fisher, Boschloo and Mann-Whitney take sessions "
+        "for independent and stand beside it, unadjusted. The unit is the person."
     )
-    rows = [
-        (f"{item.better} – {item.worse}", item.rating.mean, item.rating.p,
-         item.rating.holm, item.mann_whitney)
-        for item in comparisons
-    ]  # fmt: skip
-    yield table(("pair", "overall rating", "p sign-flip", "Holm", "Mann-Whitney"), rows)
-    if flagged := results.flags():
+    yield _compared("pairs_by_rating", "rating", compared)
+    if flagged := outcomes.flags():
         yield f"Without the {len(flagged)} people who are flagged below:"
-        yield _comparison_table(compare_pairs(results, flagged))
+        yield _compared("pairs_without_flagged", "success", compare_pairs(outcomes, flagged))
 
 
-def _comparison_table(comparisons: Iterable[Comparison]) -> str:
-    rows = [
-        (f"{item.better} – {item.worse}", item.success.people, item.success.mean,
-         item.success.p, f"**{item.success.holm}**", item.fisher, item.boschloo)
-        for item in comparisons
-    ]  # fmt: skip
-    head = ("pair", "people", "success", "p sign-flip", "Holm", "Fisher", "Boschloo")
-    return table(head, rows)
+def _compared(name: str, quantity: str, compared: Sequence[Comparison]) -> Table:
+    rows = []
+    for pair in compared:
+        found: Difference = getattr(pair, quantity)
+        row = {"pair": f"{pair.better} – {pair.worse}", "people": found.people}
+        row |= {quantity: found.mean, "p sign-flip": found.p, "Holm": found.holm}
+        rows.append({**row, **found.classical})
+    return Table(name, rows)
 
 
-def _ratings(results: Results) -> Iterator[str]:
+def _ratings(outcomes: Outcomes) -> Iterator[str | Table]:
     yield "## Distribution of overall ratings"
-    counts = {
-        agent: Counter(chain(*results.ratings(agent).values())) for agent in results.terms.agents
-    }
-    yield _counted(counts, range(1, 6))
-    yield "![Distribution of ratings](ratings.png)"
+    rows = []
+    for agent in outcomes.terms.agents:
+        counts = Counter(chain(*outcomes.ratings(agent).values()))
+        rows.append({"agent": agent, **{str(rating): counts[rating] for rating in _RATINGS}})
+    yield Table("ratings", rows)
 
 
-def _failures(results: Results) -> Iterator[str]:
+def _failures(outcomes: Outcomes) -> Iterator[str | Table]:
     yield "## Why sessions failed"
-    counts = {agent: Counter[str]() for agent in results.terms.agents}
-    for session in results.sessions:
+    counts = {agent: Counter[str]() for agent in outcomes.terms.agents}
+    for session in outcomes.sessions:
         counts[session.agent].update(session.reasons)
     if reasons := sorted(set(chain(*counts.values()))):
-        yield _counted(counts, reasons)
+        rows = [{"agent": agent, **{r: of[r] for r in reasons}} for agent, of in counts.items()]
+        yield Table("failures", rows)
         yield "A session may fail for several reasons."
     else:
         yield "No session failed."
 
 
-def _counted(counts: Mapping[str, Counter[Any]], items: Sequence[object]) -> str:
-    """Returns a table of each agent's count of each item."""
-    rows = [(agent, *(counter[item] for item in items)) for agent, counter in counts.items()]
-    return table(("agent", *map(str, items)), rows)
-
-
-def _agreement(results: Results) -> Iterator[str]:
-    both = results.by_person(
+def _agreement(outcomes: Outcomes) -> Iterator[str]:
+    both = outcomes.by_person(
         lambda item: None if item.verdict is None else (item.verdict, item.success)
     )
     found = kappa(list(both.values()))
-    whose = "The simulated users'" if results.simulated else "People's"
+    whose = "The simulated users'" if outcomes.simulated else "People's"
     yield f"## {whose} own verdict and the judge's"
     if math.isnan(found.value):
         yield "κ is undefined: one of the two is always the same, or nothing is rated."
@@ -166,20 +171,27 @@ def _agreement(results: Results) -> Iterator[str]:
         )
 
 
-def _uncertainty(results: Results) -> Iterator[str]:
+def _uncertainty(outcomes: Outcomes) -> Iterator[str | Table]:
     rows = []
-    for agent in results.terms.agents:
-        people = results.by_person(
-            lambda item: item if item.entropy is not None else None, agent
+    for agent in outcomes.terms.agents:
+        people = outcomes.by_person(
+            lambda item: None if item.entropy() is None else item, agent
         ).values()
-        if count := sum(map(len, people)):
-            whole = _warning(people, lambda item: item.entropy)
-            soon = _warning(people, lambda item: item.entropy_of_first(FIRST))
-            rows.append((agent, count, whole, soon, _warning(people, lambda i: len(i.exchanges))))
+        if people:
+            rows.append(
+                {
+                    "agent": agent,
+                    "sessions": _count(people),
+                    "entropy": _warning(people, lambda item: item.entropy()),
+                    f"entropy of the first {FIRST} answers": _warning(
+                        people, lambda item: item.entropy(FIRST)
+                    ),
+                    "length": _warning(people, lambda item: len(item.exchanges)),
+                }
+            )
     if rows:
         yield "## Does uncertainty predict failure?"
-        head = ("agent", "sessions", "entropy", f"entropy of the first {FIRST} answers", "length")
-        yield table(head, rows)
+        yield Table("uncertainty", rows)
         yield (
             "Area under the curve as a sign of failure, with 95 % bootstrap intervals over people: "
             ".5 says nothing, 1 all. "
@@ -191,7 +203,7 @@ def _uncertainty(results: Results) -> Iterator[str]:
 
 
 def _warning(
-    people: Collection[Sequence[Result]], sign: Callable[[Result], float | None]
+    people: Collection[Sequence[Outcome]], sign: Callable[[Outcome], float | None]
 ) -> Estimate:
     """Returns the AUROC of a sign as a predictor of failed sessions, where it is present."""
     return auroc(
@@ -202,105 +214,43 @@ def _warning(
     )
 
 
-def _flags(results: Results) -> Iterator[str]:
+def _flags(outcomes: Outcomes) -> Iterator[str | Table]:
     yield "## Flags"
-    if flags := results.flags():
-        yield table(("person", "flags"), [(who, "; ".join(what)) for who, what in flags.items()])
+    if flags := outcomes.flags():
+        rows = [{"person": who, "flags": "; ".join(what)} for who, what in flags.items()]
+        yield Table("flags", rows, words=2)
         yield "All of them are in every number above unless it says otherwise."
     else:
         yield "Nobody is conspicuous."
 
 
-def _who(results: Results) -> str:
-    return "simulated users" if results.simulated else "people"
+def _who(outcomes: Outcomes) -> str:
+    return "simulated users" if outcomes.simulated else "people"
 
 
 def _count(by_person: Collection[Sequence[object]]) -> int:
     return sum(map(len, by_person))
 
 
-BAR = "#56B4E9"
-RATINGS = ("#D55E00", "#E6A277", "#DDDDDD", "#7FB3D5", "#0072B2")  # from 1 to 5
-
-
-def draw_success(file: Path, results: Results, comparisons: Sequence[Comparison]) -> None:
-    """Draws each agent's success with its interval and number of sessions, and each pair's p-value.
+def draw_ratings(title: str, outcomes: Outcomes) -> Figure:
+    """Draws the shares of each agent's overall ratings.
 
     Args:
-        file: a PNG file.
-        results: the study's results.
-        comparisons: those of the declared pairs; Holm's p-value is shown.
+        title: the heading of the figure.
+        outcomes: the study's outcomes.
     """
-    agents = list(results.terms.agents)
-    axes = _axes(results)
-    level = 0.0
-    for place, agent in enumerate(agents):
-        by_person = results.successes(agent).values()
-        share = proportion(by_person)
-        if by_person:
-            error = [[share.value - share.low], [share.high - share.value]]
-            axes.bar(place, share.value, color=BAR, yerr=error, capsize=4, width=0.6)
-            axes.text(place, 0.02, f"n = {_count(by_person)}", ha="center", fontsize=8)
-            level = max(level, share.high)
-    level += 0.04
-    for comparison in comparisons:
-        if comparison.success.people:
-            left, right = agents.index(comparison.better), agents.index(comparison.worse)
-            heights = [level, level + 0.02, level + 0.02, level]
-            axes.plot([left, left, right, right], heights, color="black", lw=1)
-            p = comparison.success.holm
-            label = f"p {'' if p < 0.001 else '= '}{p}"
-            axes.text((left + right) / 2, level + 0.025, label, ha="center", fontsize=8)
-            level += 0.09
-    axes.set(ylabel="success rate", ylim=(0, max(1.0, level + 0.03)))
-    _save(axes, file)
-
-
-def draw_ratings(file: Path, results: Results) -> None:
-    """Draws the counts and the mean of each agent's overall ratings.
-
-    Args:
-        file: a PNG file.
-        results: the study's results.
-    """
-    axes = _axes(results)
-    for place, agent in enumerate(results.terms.agents):
-        people = results.ratings(agent).values()
-        values = [value for person in people for value in person]
-        bottom = 0.0
-        for rating, color in enumerate(RATINGS, start=1):
-            share = values.count(rating) / len(values) if values else 0.0
-            label = {"label": f"rating {rating}"} if place == 0 else {}
-            axes.bar(place, share, bottom=bottom, color=color, width=0.6, **label)
-            bottom += share
-        if values:
-            text = (
-                f"mean {participant_mean(people, (LOWEST, HIGHEST)).value:.2f}\nn = {len(values)}"
-            )
-            axes.text(place, 1.02, text, ha="center", fontsize=8)
-    whose = "simulated " if results.simulated else ""
-    axes.set(ylabel=f"share of {whose}ratings", ylim=(0, 1.15))
-    axes.figure.legend(loc="outside lower center", ncols=5, fontsize=8, frameon=False)
-    _save(axes, file)
-
-
-def _axes(results: Results) -> Any:
-    """Returns empty axes with a place for each agent."""
-    # The object interface needs no window system and shares no global state with other figures.
-    from matplotlib.figure import Figure
-
-    agents = list(results.terms.agents)
-    width = max(4.0, 1.4 * len(agents) + 1)
-    axes = Figure(figsize=(width, 4.5), layout="constrained").add_subplot()
-    axes.set_title(results.title)
-    axes.set_xticks(range(len(agents)), agents)
-    axes.set_yticks([0, 0.2, 0.4, 0.6, 0.8, 1.0])
-    axes.spines[["top", "right"]].set_visible(False)
-    return axes
-
-
-def _save(axes: Any, file: Path) -> None:
-    axes.set_xlim(-0.6, len(axes.get_xticks()) - 0.4)
-    picture = BytesIO()
-    axes.figure.savefig(picture, dpi=150, format="png")
-    write_bytes(file, picture.getvalue(), PRIVATE)
+    agents = list(outcomes.terms.agents)
+    rated = [list(chain(*outcomes.ratings(agent).values())) for agent in agents]
+    figure, [panel] = subplots(1)
+    left = [0.0] * len(agents)
+    for rating in _RATINGS:
+        shares = [values.count(rating) / max(1, len(values)) for values in rated]
+        panel.barh(
+            agents, shares, left=left, color=_COLORS[rating - LOWEST], label=f"rating {rating}"
+        )
+        left = [before + share for before, share in zip(left, shares, strict=True)]
+    whose = "simulated " if outcomes.simulated else ""
+    panel.set(title=title, xlabel=f"share of {whose}ratings")
+    panel.invert_yaxis()
+    add_legend(figure)
+    return figure

@@ -8,7 +8,7 @@ from random import Random
 from typing import TYPE_CHECKING, Protocol
 
 from bbq_torchrl.people.study.conversations import Conversations, seed_of
-from bbq_torchrl.people.study.records import SCALES, current
+from bbq_torchrl.people.study.database import HIGHEST, LOWEST, SCALES, current
 from bbq_torchrl.people.study.store import Store
 
 if TYPE_CHECKING:
@@ -89,7 +89,7 @@ def simulate(
                     clock.now += _PAUSE
                     form |= {"nonce": _nonce(session.id, number), "turn": str(number)}
                     conversations.say(token, {**form, "text": user.say(said)})
-                    said = store.exchanges(session.id)[number - 1].said
+                    said = store.exchanges(session.id)[number - 1].answered
                 else:
                     ratings = drawn_ratings(user.satisfied, number, drawn)
                     form |= {name: str(rating) for name, rating in ratings.items()}
@@ -122,4 +122,4 @@ def drawn_ratings(satisfied: bool, messages: int, seed: int) -> dict[str, int]:
         seed: seed of the noise.
     """
     rng, middle = Random(seed), (4.5 if satisfied else 2.0) - 0.1 * max(0, messages - 5)
-    return {name: min(5, max(1, round(rng.gauss(middle, 0.75)))) for name in SCALES}
+    return {name: min(HIGHEST, max(LOWEST, round(rng.gauss(middle, 0.75)))) for name in SCALES}

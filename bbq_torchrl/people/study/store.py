@@ -10,24 +10,24 @@ import threading
 import time
 from base64 import urlsafe_b64encode
 from contextlib import ExitStack, contextmanager
-from dataclasses import asdict, replace
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import bbq_torchrl
-from bbq_torchrl.people.study.database import StoreError, as_store_errors, writing
-from bbq_torchrl.people.study.latin_square import assignments
-from bbq_torchrl.people.study.plan import MAY_CHANGE, Terms
-from bbq_torchrl.people.study.records import (
+from bbq_torchrl.people.study.database import (
     EXCHANGES,
     IS_FINISHED,
     NOT_FORGOTTEN,
-    SCALES,
     SESSIONS,
     TAKEN,
+    Exchange,
     Session,
-    StoredExchange,
-    act_content,
+    StoreError,
+    as_store_errors,
+    serving,
 )
+from bbq_torchrl.people.study.latin_square import assignments
+from bbq_torchrl.people.study.plan import MAY_CHANGE, Terms
 
 if TYPE_CHECKING:
     import sqlite3
@@ -78,7 +78,7 @@ class Store:
         self._path, self._terms, self._clock = path, terms, clock
         self._mutex = threading.RLock()
         with ExitStack() as opened:
-            self._connection = opened.enter_context(writing(path))
+            self._connection = opened.enter_context(serving(path))
             with self.transaction() as connection:
                 self._secret = self._begin(connection, fingerprints, simulated, secret)
             self._opened = opened.pop_all()
@@ -91,34 +91,34 @@ class Store:
         secret: str | None,
     ) -> str:
         """Returns the study's secret; creates the study if it is new."""
-        package = bbq_torchrl.__version__
-        found = connection.execute("SELECT terms, package, secret, simulated FROM study").fetchone()
+        package, terms = bbq_torchrl.__version__, self._terms.text()
+        found = connection.execute(
+            "SELECT terms, fingerprints, package, secret, simulated FROM study"
+        ).fetchone()
         if found is None:
             secret = secret or secrets.token_urlsafe(32)
-            connection.execute(
-                "INSERT INTO study VALUES (1, ?, ?, ?, ?, ?)",
-                (self._terms.text(), package, secret, int(simulated), self._clock()),
-            )
-            connection.executemany("INSERT INTO agent VALUES (?, ?)", fingerprints.items())
+            study = (terms, json.dumps(fingerprints), package, secret, simulated, self._clock())
+            connection.execute("INSERT INTO study VALUES (1, ?, ?, ?, ?, ?, ?)", study)
             return secret
-        stored = dict(connection.execute("SELECT name, fingerprint FROM agent").fetchall())
-        faults = _changed(Terms.of(found[0]), self._terms)
-        if found[1] != package:
-            faults.append(f"it was begun with bbq-torchrl {found[1]}, this is {package}")
-        if bool(found[3]) != simulated:
+        old_terms, old_prints, old_package, old_secret, old_simulated = found
+        old_prints = json.loads(old_prints)
+        faults = _changed(json.loads(old_terms), json.loads(terms))
+        if old_package != package:
+            faults.append(f"it was begun with bbq-torchrl {old_package}, this is {package}")
+        if old_simulated != simulated:
             faults.append("it must hold either people or simulated users, not both")
-        if secret not in (None, found[2]):
+        if secret not in (None, old_secret):
             faults.append("it was begun with another seed")
         faults += [
             f"the weights of agent {name!r} are not those the study was begun with"
             for name, fingerprint in fingerprints.items()
-            if name in stored and stored[name] != fingerprint
+            if old_prints.get(name, fingerprint) != fingerprint
         ]
         if faults:
             advice = "a study continues as it was begun; a changed one needs a new file name"
             raise StoreError(self._path, *(f"{fault} ({advice})" for fault in faults))
-        connection.execute("UPDATE study SET terms = ?", (self._terms.text(),))
-        return str(found[2])
+        connection.execute("UPDATE study SET terms = ?", (terms,))
+        return str(old_secret)
 
     def key(self, purpose: str) -> str:
         """Returns an unguessable word that is the same each time, such as that of a link."""
@@ -186,12 +186,9 @@ class Store:
             if joined >= self._terms.joins_per_minute:
                 raise JoinRateError
             person = connection.execute(
-                "INSERT INTO person (token, place, enrolled, active) VALUES (?, ?, ?, ?)",
-                (hashed(token), place, now, now),
+                "INSERT INTO person (token, place, enrolled, active, ids) VALUES (?, ?, ?, ?, ?)",
+                (hashed(token), place, now, now, json.dumps(ids or {})),
             ).lastrowid
-            if ids:
-                recruited = (person, participant, json.dumps(ids))
-                connection.execute("INSERT INTO recruited VALUES (?, ?, ?)", recruited)
             terms = self._terms
             plan = assignments(
                 place, tuple(terms.agents), terms.goals, terms.sessions, self._secret
@@ -212,9 +209,9 @@ class Store:
 
     # -- conversations -----------------------------------------------------------------------------
 
-    def exchanges(self, session: int) -> list[StoredExchange]:
+    def exchanges(self, session: int) -> list[Exchange]:
         """Returns the exchanges of a session, first to last."""
-        return list(map(StoredExchange.of, self.rows(EXCHANGES, session)))
+        return list(map(Exchange.of, self.rows(EXCHANGES, session)))
 
     def add_exchange(
         self,
@@ -239,12 +236,11 @@ class Store:
         beliefs = None if reply.beliefs is None else json.dumps(asdict(reply.beliefs))
         with self._step(session) as (connection, now):
             connection.execute(
-                "INSERT INTO exchange VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
+                "INSERT INTO exchange VALUES (?, ?, ?, ?, ?, ?, ?, ?, ?, ?, ?)",
                 (
                     *(session.id, number, nonce, now, text, reply.text),
-                    json.dumps(act_content(reply.understood, reply.confidence)),
-                    json.dumps(act_content(reply.answered)),
-                    *(beliefs, reply.state),
+                    *(json.dumps(asdict(act)) for act in (reply.understood, reply.answered)),
+                    *(reply.confidence, beliefs, reply.state),
                 ),
             )
             if end is not None:
@@ -270,19 +266,13 @@ class Store:
             yield connection, now
             connection.execute("UPDATE person SET active = ? WHERE id = ?", (now, session.person))
 
-    # -- ratings -----------------------------------------------------------------------------------
-
-    def rating_nonce(self, session: int) -> str | None:
-        """Returns the nonce of the session's rating; ``None`` before it is rated."""
-        rows = self.rows("SELECT nonce FROM rating WHERE session = ?", session)
-        return rows[0][0] if rows else None
-
     def rate(self, session: Session, nonce: str, scales: Mapping[str, int], verdict: bool) -> None:
         """Stores a participant's ratings (see :data:`SCALES`) and verdict."""
         with self._step(session) as (connection, now):
             connection.execute(
-                "INSERT INTO rating VALUES (?, ?, ?, ?, ?, ?, ?, ?)",
-                (session.id, nonce, now, *(scales[name] for name in SCALES), int(verdict)),
+                "UPDATE session SET rated = ?, rating_nonce = ?, ratings = ?, verdict = ? "
+                "WHERE id = ? AND rated IS NULL",
+                (now, nonce, json.dumps(scales), verdict, session.id),
             )
 
     # -- the researcher's view ---------------------------------------------------------------------
@@ -308,23 +298,13 @@ class Store:
         }
         return counts, list(map(Session.of, rows))
 
-    def session(self, number: int) -> Session | None:
-        """Returns a session by its id; ``None`` if the id is unknown."""
-        rows = self.rows(f"{SESSIONS} WHERE session.id = ?", number)
-        return Session.of(rows[0]) if rows else None
-
 
 def _end(
-    connection: sqlite3.Connection,
-    session: int,
-    now: float,
-    ended_by: str,
-    reasons: tuple[str, ...],
+    connection: sqlite3.Connection, session: int, now: float, by: str, reasons: tuple[str, ...]
 ) -> None:
     connection.execute(
-        "UPDATE session SET ended = ?, ended_by = ?, success = ?, reasons = ? "
-        "WHERE id = ? AND ended IS NULL",
-        (now, ended_by, int(not reasons), json.dumps(reasons), session),
+        "UPDATE session SET ended = ?, ended_by = ?, reasons = ? WHERE id = ? AND ended IS NULL",
+        (now, by, json.dumps(reasons), session),
     )
 
 
@@ -333,12 +313,11 @@ def hashed(token: str) -> str:
     return hashlib.sha256(token.encode()).hexdigest()
 
 
-def _changed(old: Terms, new: Terms) -> list[str]:
-    """Returns the differences beyond the keys that may change."""
-    same = asdict(replace(new, **{key: getattr(old, key) for key in MAY_CHANGE}))
+def _changed(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
+    """Returns the differences between terms beyond the keys that may change."""
     # As text: the order of the agents matters too.
     return [
         f"the study file says another {key} than at the start"
-        for key, value in asdict(old).items()
-        if json.dumps(value) != json.dumps(same[key])
+        for key in new
+        if key not in MAY_CHANGE and json.dumps(old.get(key)) != json.dumps(new[key])
     ]

@@ -2,46 +2,43 @@
 
 from __future__ import annotations
 
+import asyncio
 import hmac
 import logging
-import re
 import secrets
-from http import HTTPStatus
 from typing import TYPE_CHECKING, Any
+from urllib.parse import parse_qsl
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
-from starlette.responses import HTMLResponse, RedirectResponse
+from starlette.middleware.base import BaseHTTPMiddleware
+from starlette.requests import ClientDisconnect
+from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from bbq_torchrl.people.dialogue.judge import card
 from bbq_torchrl.people.study.address import Address
 from bbq_torchrl.people.study.conversations import Conversations, RefusedError, ids_of
-from bbq_torchrl.people.study.database import StoreError
-from bbq_torchrl.people.study.guard import Guard
-from bbq_torchrl.people.study.records import act_text, current
+from bbq_torchrl.people.study.database import StoreError, current
 from bbq_torchrl.people.study.store import ForgottenError
-from bbq_torchrl.utils.text import MAX_CHARACTERS
+from bbq_torchrl.utils.text import MAX_CHARACTERS, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
+    from starlette.middleware.base import RequestResponseEndpoint
     from starlette.requests import Request
-    from starlette.responses import Response
 
     from bbq_torchrl.people.dialogue import Talker
+    from bbq_torchrl.people.study.database import Session
     from bbq_torchrl.people.study.plan import Study
-    from bbq_torchrl.people.study.records import Session
     from bbq_torchrl.people.study.store import Store
 
 JOIN, RESEARCHER = "join", "researcher"
 """The purposes of the keys in the two links that :meth:`Store.key` makes."""
-
-_ID = re.compile("[0-9]{1,18}")
-"""A session's number; more digits do not fit into an SQLite integer."""
 
 MAX_LISTED = 1_000
 MAX_BARS = 12
@@ -60,8 +57,27 @@ _TEMPLATES = Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
-_TEMPLATES.filters["act"] = act_text
 _log = logging.getLogger(__name__)
+
+MAX_BODY = 16_384
+"""Largest form in bytes; a message of the longest text in the widest letters has fewer."""
+
+BODY_SECONDS = 10.0
+"""The time in which a form must arrive."""
+
+HEADERS = {
+    "content-security-policy": (
+        "default-src 'none'; style-src 'self'; script-src 'self'; img-src 'self'; "
+        "form-action 'self'; base-uri 'none'; frame-ancestors 'none'"
+    ),
+    "x-content-type-options": "nosniff",
+    "x-frame-options": "DENY",
+    # The links are secret; with "no-referrer", browsers would post from the origin "null".
+    "referrer-policy": "same-origin",
+    "cross-origin-opener-policy": "same-origin",
+    "cache-control": "no-store",
+}
+"""The headers of every response."""
 
 
 def application(study: Study, store: Store, talker: Talker) -> Starlette:
@@ -72,7 +88,7 @@ def application(study: Study, store: Store, talker: Talker) -> Starlette:
         store: the study's store.
         talker: the agents.
     """
-    address = Address.of(study.terms.url) if study.terms.url else Address()
+    address = Address.of(study.terms.url)
     pages = _Pages(study, store, talker, address.prefix)
     # Pages are not coroutines: Starlette runs each in a thread.
     routes = [
@@ -89,10 +105,83 @@ def application(study: Study, store: Store, talker: Talker) -> Starlette:
         StoreError: pages.not_stored,
         RefusedError: pages.refused,
     }
-    guard = Middleware(Guard, page=pages.message, address=address)
+    guard = Middleware(BaseHTTPMiddleware, dispatch=_Guard(pages.message, address))
     app = Starlette(routes=routes, middleware=[guard], exception_handlers=handlers)
     app.router.redirect_slashes = False  # its redirects ignore prefix and HTTPS
     return app
+
+
+class _Guard:
+    """Refuses forms that are foreign, too large or too slow; sets the headers of every response.
+
+    The fields of a form are in ``request.state.form``. Pages are served with and without the
+    prefix of the study's address, and with and without a slash at the end.
+
+    Args:
+        page: makes a page from a status and a sentence.
+        address: the study's address.
+    """
+
+    def __init__(self, page: Callable[[int, str], Response], address: Address) -> None:
+        self._page, self._address = page, address
+
+    async def __call__(self, request: Request, answer: RequestResponseEndpoint) -> Response:
+        """Answers a request."""
+        request.scope["path"] = self._address.inner(request.scope["path"])
+        try:
+            if request.method not in ("GET", "HEAD"):
+                request.state.form = await self._form(request)
+            response = await answer(request)
+        except RefusedError as error:
+            response = self._page(error.status, str(error))
+        except ClientDisconnect:  # half a form: nobody reads a response
+            response = Response(status_code=400)
+        for name, value in HEADERS.items():
+            response.headers.setdefault(name, value)
+        return response
+
+    async def _form(self, request: Request) -> dict[str, str]:
+        """Returns the fields of a form.
+
+        Raises:
+            ClientDisconnect: the client disconnected before it arrived.
+            RefusedError: it is too large, too slow, or from another site.
+        """
+        try:
+            # First, and to its end: a client that is still sending reads no response.
+            body = await asyncio.wait_for(_body(request), BODY_SECONDS)
+        except asyncio.TimeoutError:
+            text = f"The form took more than {BODY_SECONDS:g} seconds to arrive: send it again."
+            raise RefusedError(408, text) from None
+        if len(body) > MAX_BODY:
+            raise RefusedError(413, f"The form is too large: {MAX_BODY:,} bytes are allowed.")
+        if self._is_foreign(request):
+            raise RefusedError(403, "This form was sent from another site.")
+        return dict(parse_qsl(body.decode("latin-1"), keep_blank_values=True, errors="replace"))
+
+    def _is_foreign(self, request: Request) -> bool:
+        """Returns whether the browser says that a form is from a page of another site."""
+        # Sent by browsers over HTTPS and to this machine, whatever a proxy makes of the host.
+        if site := request.headers.get("sec-fetch-site"):
+            return site not in ("same-origin", "none")
+        origin, host = request.headers.get("origin"), request.headers.get("host")
+        own = {self._address.origin, f"http://{host}", f"https://{host}"} - {""}
+        if origin is None or origin in own:
+            return False
+        _log.warning(
+            "a form from %s was refused, since this server is called %s; if people reach the "
+            "study by the former, set url in the study file",
+            *(shown(origin), shown(host)),
+        )
+        return True
+
+
+async def _body(request: Request) -> bytes:
+    """Returns the body of a request, of one that is too large only the beginning."""
+    body = b""
+    async for chunk in request.stream():
+        body = (body + chunk)[: MAX_BODY + 1]
+    return body
 
 
 class _Pages:
@@ -110,7 +199,7 @@ class _Pages:
         """Shows the consent form."""
         self._check(request, JOIN)
         self._ids(request)
-        return self._consent(HTTPStatus.OK, "")
+        return self._consent(200, "")
 
     def enroll(self, request: Request) -> Response:
         """Gives a participant their link."""
@@ -131,44 +220,34 @@ class _Pages:
         token, form = self._token(request), request.state.form
         take = self._steps.get(request.path_params["step"])
         if take is None:
-            raise HTTPException(HTTPStatus.NOT_FOUND)
+            raise HTTPException(404)
         try:
             take(token, form)
         except RefusedError as error:
             return self._page(token, error.status, str(error), form)
         except ForgottenError:
             text = "All that you wrote here is deleted, and your link leads nowhere any more."
-            return self.message(HTTPStatus.GONE, text)
-        except StoreError:
-            _log.exception("a step could not be stored")
-            status = HTTPStatus.SERVICE_UNAVAILABLE
-            problem = "What you sent could not be stored. Please send it again in a minute."
+            return self.message(410, text)
         except Exception:
-            _log.exception("an agent could not answer")
-            status = HTTPStatus.INTERNAL_SERVER_ERROR
-            problem = "The assistant could not answer. Please send your message again."
-        else:
-            return self._to(token)
-        return self._page(token, status, problem, form, keep_nonce=True)
+            _log.exception("a message was not answered, or a step not stored")
+            problem = "This could not be answered or stored. Please send it again in a minute."
+            return self._page(token, 503, problem, form, form["nonce"])
+        return self._to(token)
 
     def _page(
         self,
         token: str,
-        status: HTTPStatus = HTTPStatus.OK,
+        status: int = 200,
         problem: str = "",
         form: Mapping[str, str] | None = None,
-        *,
-        keep_nonce: bool = False,
+        nonce: str = "",
     ) -> Response:
         """Returns the page of the participant's next step."""
         sessions, form = self._store.sessions(token), form or {}
         if not sessions:  # forgotten by now
-            raise HTTPException(HTTPStatus.NOT_FOUND)
+            raise HTTPException(404)
         if (session := current(sessions)) is None:
-            code, url = self._study.terms.completion_code, self._study.terms.completion_url
-            return self._html("done", status, problem=problem, code=code, url=url)
-        # A refused text is kept, unless it is from an earlier conversation.
-        given = form if form.get("session") == str(session.position) else {}
+            return self._html("done", status, problem=problem)
         return self._html(
             "rate" if session.is_ended else "talk",
             status,
@@ -177,9 +256,10 @@ class _Pages:
             session=session.position,
             sessions=len(sessions),
             card=self._card(session),
-            exchanges=[(said.text, said.answer) for said in self._store.exchanges(session.id)],
-            nonce=form.get("nonce", "") if keep_nonce else _new_nonce(),
-            given=given,
+            exchanges=self._store.exchanges(session.id),
+            nonce=nonce or _new_nonce(),
+            # A refused text is kept, unless it is from an earlier conversation.
+            given=form if form.get("session") == str(session.position) else {},
             max_text=MAX_CHARACTERS,
             questions=QUESTIONS,
         )
@@ -188,7 +268,7 @@ class _Pages:
         """Returns a participant's token."""
         token: str = request.path_params["token"]
         if not self._store.sessions(token):
-            raise HTTPException(HTTPStatus.NOT_FOUND)
+            raise HTTPException(404)
         return token
 
     # -- the researcher ----------------------------------------------------------------------------
@@ -198,44 +278,33 @@ class _Pages:
         self._check(request, RESEARCHER)
         counts, sessions = self._store.progress()
         begun = [session for session in reversed(sessions) if session.messages]
-        return self._html(
-            "progress",
-            key=request.path_params["key"],
-            counts=counts,
-            idle_minutes=self._study.terms.idle_minutes,
-            agents=list(self._study.terms.agents),
-            begun=begun,
-            max_listed=MAX_LISTED,
-        )
+        key = request.path_params["key"]
+        return self._html("progress", key=key, counts=counts, begun=begun, max_listed=MAX_LISTED)
 
     def transcript(self, request: Request) -> Response:
         """Shows a session turn by turn, with the agent's beliefs."""
         self._check(request, RESEARCHER)
-        number = request.path_params["session"]
-        session = self._store.session(int(number)) if _ID.fullmatch(number) else None
-        if session is None:
-            raise HTTPException(HTTPStatus.NOT_FOUND)
-        return self._html(
-            "transcript",
-            key=request.path_params["key"],
-            session=session,
-            card=self._card(session),
-            turns=self._store.exchanges(session.id),
-            max_bars=MAX_BARS,
-        )
+        for session in self._store.progress()[1]:
+            if str(session.id) == request.path_params["session"]:
+                return self._html(
+                    "transcript",
+                    key=request.path_params["key"],
+                    session=session,
+                    card=self._card(session),
+                    turns=self._store.exchanges(session.id),
+                    max_bars=MAX_BARS,
+                )
+        raise HTTPException(404)
 
     # -- what all pages share ----------------------------------------------------------------------
 
-    def message(self, status: HTTPStatus, text: str) -> Response:
+    def message(self, status: int, text: str) -> Response:
         """Returns a page with one sentence."""
         return self._html("message", status, text=text)
 
     def no_page(self, request: Request, error: HTTPException) -> Response:
         """Returns the same page for any wrong or guessed link."""
-        status = HTTPStatus(error.status_code)
-        if status == HTTPStatus.NOT_FOUND:
-            return self.message(status, "There is no page here. Please check your link.")
-        return self.message(status, "This cannot be done here. Please open your link again.")
+        return self.message(error.status_code, "There is no page here. Please check your link.")
 
     def refused(self, request: Request, error: RefusedError) -> Response:
         """Returns the page for a join link that cannot be used."""
@@ -245,7 +314,7 @@ class _Pages:
         """Returns the page for a study file that cannot be used."""
         _log.error("%s", error)
         text = "The study cannot be reached just now. Please try again in a minute."
-        return self.message(HTTPStatus.SERVICE_UNAVAILABLE, text)
+        return self.message(503, text)
 
     def _card(self, session: Session) -> dict[str, Any]:
         return card(self._talker.domain.goals[session.goal - 1], self._talker.labels)
@@ -253,35 +322,22 @@ class _Pages:
     def _check(self, request: Request, purpose: str) -> None:
         given = request.path_params["key"].encode()
         if not hmac.compare_digest(given, self._store.key(purpose).encode()):
-            raise HTTPException(HTTPStatus.NOT_FOUND)
+            raise HTTPException(404)
 
     def _ids(self, request: Request) -> dict[str, str]:
         """Returns the ids in a join link."""
         return ids_of(self._study.terms.join_parameters, request.query_params.getlist)
 
-    def _consent(self, status: HTTPStatus, problem: str) -> Response:
-        terms = self._study.terms
-        paragraphs = [text.strip() for text in terms.consent.split("\n\n") if text.strip()]
-        return self._html(
-            "consent",
-            status,
-            problem=problem,
-            paragraphs=paragraphs,
-            sessions=terms.sessions,
-            retention=terms.retention,
-            parameters=terms.join_parameters,
-            nonce=_new_nonce(),
-        )
+    def _consent(self, status: int, problem: str) -> Response:
+        return self._html("consent", status, problem=problem, nonce=_new_nonce())
 
-    def _html(
-        self, template: str, status: HTTPStatus = HTTPStatus.OK, **values: Any
-    ) -> HTMLResponse:
+    def _html(self, template: str, status: int = 200, **values: Any) -> HTMLResponse:
         page = _TEMPLATES.get_template(f"{template}.html")
-        shared = {"name": self._study.terms.name, "prefix": self._prefix}
-        return HTMLResponse(page.render(**shared, **values), status)
+        text = page.render(terms=self._study.terms, prefix=self._prefix, **values)
+        return HTMLResponse(text, status)
 
     def _to(self, token: str) -> Response:
-        return RedirectResponse(f"{self._prefix}/p/{token}", HTTPStatus.SEE_OTHER)
+        return RedirectResponse(f"{self._prefix}/p/{token}", 303)
 
 
 def _new_nonce() -> str:

@@ -13,7 +13,7 @@ from bbq_torchrl.envs.text_channel import TextChannel
 from bbq_torchrl.people.chat import Partner
 from bbq_torchrl.people.language import Frame, Unclear, Understood
 from bbq_torchrl.people.language.asking import MAX_ASKS, Asking
-from bbq_torchrl.people.study.users import SimulatedUser
+from bbq_torchrl.people.study.players import SimulatedUser
 from bbq_torchrl.simulator import Simulator
 
 

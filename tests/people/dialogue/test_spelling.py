@@ -7,12 +7,12 @@ from types import SimpleNamespace
 
 import pytest
 from chat.test_chat_command import play
-from study.test_users import Letters
+from study.test_players import Letters
 
 from bbq_torchrl.domains import Goal, build_vocabulary
 from bbq_torchrl.people.language import Frame
 from bbq_torchrl.people.language.lexicon import Lexicon
-from bbq_torchrl.people.study import users
+from bbq_torchrl.people.study import players
 
 
 def test_spellings_are_one_where_their_keys_are(movie, spelling):
@@ -61,8 +61,8 @@ def test_a_wish_in_either_spelling_is_looked_up_offered_and_judged(
 
 
 def test_a_simulated_user_takes_an_offer_in_another_spelling(movie, spelling, monkeypatch):
-    monkeypatch.setattr(users, "Generator", lambda _: Letters())
-    make_user = users.make_users(SimpleNamespace(domain=movie))
+    monkeypatch.setattr(players, "Generator", lambda _: Letters())
+    make_user = players.make_users(SimpleNamespace(domain=movie))
     pairs = enumerate(zip(movie.goals, spelling.domain.goals, strict=True), start=1)
     differ = [(number, raw, own) for number, (raw, own) in pairs if raw != own]
     assert len(differ) >= 5

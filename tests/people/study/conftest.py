@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from contextlib import closing, contextmanager
 from dataclasses import replace
 
 import pytest
@@ -12,7 +13,7 @@ pytest.importorskip("starlette", reason="needs the extra study")
 from starlette.testclient import TestClient
 
 from bbq_torchrl.people.study import load_study
-from bbq_torchrl.people.study.records import SCALES, current
+from bbq_torchrl.people.study.database import SCALES, current
 from bbq_torchrl.people.study.store import Store
 from bbq_torchrl.people.study.web import JOIN, RESEARCHER, application
 
@@ -75,6 +76,16 @@ def hidden(page):
     return dict(re.findall(r'type="hidden" name="(\w+)" value="([^"]*)"', form))
 
 
+@contextmanager
+def published(study, *, domain=None, client=(), **terms):
+    """A served study, whose file has some terms changed."""
+    study = replace(study, terms=replace(study.terms, **terms))
+    with closing(Store(study.data, study.terms, prints(study))) as store:
+        app = application(study, store, talker := FakeTalker(domain or study.domain))
+        with TestClient(app, raise_server_exceptions=False, **dict(client)) as browser:
+            yield Site(study, browser, store, talker)
+
+
 @pytest.fixture(scope="session")
 def loaded(tmp_path_factory):
     """The study once for all tests; each has its data in a folder of its own."""
@@ -107,8 +118,5 @@ def spelled(loaded):
 
 @pytest.fixture
 def site(study, spelled):
-    store = Store(study.data, study.terms, prints(study))
-    app = application(study, store, talker := FakeTalker(spelled))
-    with TestClient(app, raise_server_exceptions=False) as client:
-        yield Site(study, client, store, talker)
-    store.close()
+    with published(study, domain=spelled) as site:
+        yield site

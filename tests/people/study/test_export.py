@@ -1,20 +1,17 @@
-"""Permissions of a study's files, copies of the live file, and forgetting people."""
+"""Permissions of a study's files, copies of the live file, forgetting people, exported texts."""
 
 from __future__ import annotations
 
 import os
 import shutil
 from contextlib import closing, contextmanager
-from dataclasses import replace
 
 import pytest
 
 from bbq_torchrl.people.study.__main__ import main
-from bbq_torchrl.people.study.database import StoreError, changing, reading
-from bbq_torchrl.people.study.export import backup, forget
-from bbq_torchrl.people.study.records import current
-from bbq_torchrl.people.study.report import write_report
-from bbq_torchrl.people.study.results import read_results
+from bbq_torchrl.people.study.database import StoreError, current, opened
+from bbq_torchrl.people.study.export import backup, defused, forget, without_names
+from bbq_torchrl.people.study.outcomes import read_outcomes
 from bbq_torchrl.people.study.store import Store
 
 from .conftest import RATED
@@ -23,34 +20,15 @@ from .fakes import prints
 TEXT = "city=philly; my secret wish"
 
 
-def modes(folder):
-    return {path.name: path.stat().st_mode & 0o777 for path in folder.rglob("*") if path.is_file()}
-
-
-@pytest.fixture
-def open_umask():
-    before = os.umask(0o000)
-    yield
-    os.umask(before)
-
-
 @pytest.mark.skipif(os.name == "nt", reason="POSIX modes")
-def test_all_files_of_a_study_are_for_their_owner_alone(open_umask, site, study, tmp_path):
+def test_all_files_that_a_command_makes_are_for_their_owner_alone(site, study, tmp_path):
     site.say(site.enroll(), TEXT, "bye")
-    write_report(tmp_path / "report", read_results(study.data))
-    backup(study.data, tmp_path / "copy.sqlite")
-    found = modes(tmp_path)
-    assert {"study.sqlite", "study.sqlite-wal", "study.sqlite.lock", "copy.sqlite"} <= set(found)
-    assert {"report.md", "success.png", "ratings.png", "sessions.jsonl"} <= set(found)
-    assert {name: f"{mode:o}" for name, mode in found.items()} == dict.fromkeys(found, "600")
-
-
-@pytest.mark.skipif(os.name == "nt", reason="POSIX modes")
-def test_a_file_that_others_could_read_is_made_private(study):
-    Store(study.data, study.terms, prints(study)).close()
-    study.data.chmod(0o644)
-    Store(study.data, study.terms, prints(study)).close()
-    assert f"{study.data.stat().st_mode & 0o777:o}" == "600"
+    for command in (["report"], ["participants"], ["backup", str(tmp_path / "copy.sqlite")]):
+        assert main([command[0], str(study.path), *command[1:]]) == 0
+    made = [tmp_path / name for name in ("study-participants.csv", "copy.sqlite", "study-report")]
+    made += (tmp_path / "study-report").iterdir()
+    assert {"report.md", "success.png", "sessions.jsonl"} <= {file.name for file in made}
+    assert not any(file.stat().st_mode & 0o077 for file in made)
 
 
 def test_a_backup_of_the_living_file_has_everything_where_a_plain_copy_has_not(
@@ -61,45 +39,33 @@ def test_a_backup_of_the_living_file_has_everything_where_a_plain_copy_has_not(
     (tmp_path / "plain").mkdir()
     shutil.copyfile(study.data, tmp_path / "plain" / "study.sqlite")
     backup(study.data, copy := tmp_path / "copy.sqlite")
-    with reading(copy) as connection:
+    with opened(copy) as connection:
         assert connection.execute("SELECT text FROM exchange").fetchall() == [(TEXT,)] * 8
-    with pytest.raises(StoreError), reading(tmp_path / "plain" / "study.sqlite") as connection:
-        assert connection.execute("SELECT COUNT(*) FROM exchange").fetchone() == (8,)
+    with opened(tmp_path / "plain" / "study.sqlite") as connection:
+        assert connection.execute("SELECT COUNT(*) FROM exchange").fetchone() < (8,)
     assert not list(tmp_path.glob("copy.sqlite-*"))  # it is one file
     with closing(Store(copy, study.terms, prints(study))) as again:  # and a study that goes on
         assert current(again.sessions(link.removeprefix("/p/"))).messages == 8
         assert f"/join/{again.key('join')}" == site.join
 
 
-def told(capsys, *arguments):
-    assert main([str(argument) for argument in arguments]) == 2
-    return capsys.readouterr().err
-
-
 @pytest.mark.parametrize(
-    "name", ["study.sqlite", "study.sqlite-wal", "./study.sqlite.lock", "link"]
+    "name", ["study.sqlite", "study.sqlite-wal", "./study.sqlite.lock", "link", "old", "no/copy"]
 )
-def test_a_backup_onto_the_living_file_is_refused(site, study, tmp_path, capsys, name):
+def test_a_backup_replaces_nothing_and_needs_a_folder(site, study, tmp_path, capsys, name):
     site.say(link := site.enroll(), TEXT)
+    (tmp_path / "old").write_text("an older copy")
     (tmp_path / "link").symlink_to(study.data)
-    error = told(capsys, "backup", study.path, tmp_path / name)
-    assert "it is of the living study: name another file for the copy" in error
-    assert site.session(link).messages == 1
+    assert main(["backup", str(study.path), str(tmp_path / name)]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
+    assert site.say(link, TEXT).status_code == 200
+    assert (tmp_path / "old").read_text() == "an older copy"
 
 
-def test_a_backup_replaces_nothing_and_needs_a_folder(site, study, tmp_path, capsys):
-    (tmp_path / "old.sqlite").write_text("an older copy")
-    os.link(study.data, tmp_path / "hard.sqlite")
-    for name in ("old.sqlite", "hard.sqlite"):
-        error = told(capsys, "backup", study.path, tmp_path / name)
-        assert "it exists already: name a file that does not exist" in error
-    error = told(capsys, "backup", study.path, tmp_path / "nowhere" / "copy.sqlite")
-    assert "its folder does not exist" in error
-    error = told(capsys, "backup", tmp_path / "other.yaml", tmp_path / "copy.sqlite")
-    assert "other.sqlite: there is no such file" in error
-    assert not (tmp_path / "copy.sqlite").exists()
-    assert not list(tmp_path.glob(".*"))
-    assert (tmp_path / "old.sqlite").read_text() == "an older copy"
+def test_a_study_that_was_not_served_has_no_backup(tmp_path, capsys):
+    assert main(["backup", str(tmp_path / "other.yaml"), str(tmp_path / "copy.sqlite")]) == 2
+    assert "other.sqlite: " in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 @pytest.fixture
@@ -107,12 +73,12 @@ def careless(monkeypatch):
     """SQLite as most have it: what is deleted stays in free pages."""
 
     @contextmanager
-    def opened(path):
-        with changing(path) as connection:
+    def careless(path, mode):
+        with opened(path, mode) as connection:
             connection.execute("PRAGMA secure_delete = OFF")
             yield connection
 
-    monkeypatch.setattr("bbq_torchrl.people.study.export.changing", opened)
+    monkeypatch.setattr("bbq_torchrl.people.study.export.opened", careless)
 
 
 @pytest.mark.parametrize("by", ["number", "link", "whole link"])
@@ -133,8 +99,7 @@ def test_of_a_forgotten_person_nothing_is_left_in_the_files(
     counts, sessions = site.store.progress()
     assert counts == {**before, "enrolled": 1, "active": 1}
     assert {session.person for session in sessions} == {site.session(other).person}
-    assert site.store.rows("SELECT COUNT(*) FROM rating") == [(0,)]
-    assert read_results(study.data).enrolled == 1
+    assert read_outcomes(study.data).enrolled == 1
     assert site.client.get(link).status_code == 404
     # The others go on; the place is free again, and the number is nobody else's.
     assert site.say(other, "city=tampa").status_code == 200
@@ -172,39 +137,43 @@ def test_a_form_that_comes_after_its_writer_was_forgotten_is_no_page(site, study
         assert site.client.post(f"{link}/{step}", data=form).status_code == 404
 
 
-@pytest.mark.parametrize(
-    ("given", "sentence"),
-    [
-        ("P3", "it must be a person's number on your page or their link, got 'P3'"),
-        ("1.0", "it must be a person's number on your page or their link, got '1.0'"),
-        ("9" * 30, "it must be a person's number on your page or their link, got '999"),
-        ("99", "there is nobody of the number given"),
-        ("/p/nobody", "there is nobody of the link given"),
-    ],
-)
-def test_who_is_nobody_cannot_be_forgotten(site, study, capsys, given, sentence):
+@pytest.mark.parametrize("given", ["P3", "1.0", "9" * 30, "99", "/p/nobody"])
+def test_who_is_nobody_cannot_be_forgotten(site, study, capsys, given):
     link = site.enroll()
-    assert sentence in told(capsys, "forget", study.path, given)
+    assert main(["forget", str(study.path), given]) == 2
+    assert capsys.readouterr().err.count("\n") == 1
     assert site.client.get(link).status_code == 200
 
 
 def test_a_report_that_is_being_written_makes_forgetting_wait(site, study, monkeypatch):
     site.say(link := site.enroll(), TEXT)
     monkeypatch.setattr("bbq_torchrl.people.study.database.BUSY_SECONDS", 0.1)
-    with reading(study.data) as connection:
+    number = site.session(link).person
+    with opened(study.data) as connection:
         connection.execute("SELECT COUNT(*) FROM person").fetchone()
         with pytest.raises(StoreError, match="run the command again"):
-            forget(study.data, link_number := site.session(link).person)
-    assert forget(study.data, link_number) == int(link_number)
-    assert b"secret wish" not in b"".join(
-        file.read_bytes() for file in study.data.parent.glob("study.sqlite*")
-    )
+            forget(study.data, number)
+    assert forget(study.data, number) == int(number)
+    for file in study.data.parent.glob("study.sqlite*"):
+        assert b"secret wish" not in file.read_bytes()
 
 
-def test_a_study_begun_before_these_keys_goes_on(study):
-    Store(study.data, study.terms, prints(study)).close()
-    with closing(Store(study.data, study.terms, prints(study))) as store:
-        store.rows(
-            "UPDATE study SET terms = json_remove(terms, '$.joins_per_minute', '$.retention')"
-        )
-    Store(study.data, replace(study.terms, joins_per_minute=9), prints(study)).close()
+def test_what_a_spreadsheet_would_run_is_defused_and_nothing_else():
+    for text in ("=1+1", "+1", "-1", "@a", " =cmd()", "\t=x", "\r-x"):
+        assert defused(text) == f"'{text}"
+    for cell in ("two", "a=b", "", -3, 0.5):
+        assert defused(cell) == cell
+
+
+@pytest.mark.parametrize(
+    ("text", "kept"),
+    [
+        ("My name is Ann Lee and I want 2", "My name is [name] and I want 2"),
+        ("call me Bob, please", "call me [name], please"),
+        ("write to ann.lee+x@mail.example.org", "write to [address]"),
+        ("call +1 (555) 123-4567 at 7", "call [number] at 7"),
+        ("2 tickets on the 9th at 7:30 in 98101", "2 tickets on the 9th at 7:30 in 98101"),
+    ],
+)
+def test_names_that_are_given_as_such_are_replaced(text, kept):
+    assert without_names(text) == kept

@@ -11,7 +11,7 @@ from contextlib import suppress
 import httpx2
 import pytest
 
-from bbq_torchrl.people.study.database import reading
+from bbq_torchrl.people.study.database import opened
 
 from .conftest import STUDY, hidden
 from .served import Server
@@ -67,7 +67,7 @@ def test_a_server_that_is_killed_loses_nothing_acknowledged(tmp_path, kills):
             server.kill()
         for talk in talks:
             talk.join()
-        with reading(tmp_path / "study.sqlite") as connection:
+        with opened(tmp_path / "study.sqlite") as connection:
             texts = [text for (text,) in connection.execute("SELECT text FROM exchange")]
         assert len(texts) == len(set(texts))
         for person in people:

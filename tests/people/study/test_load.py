@@ -9,7 +9,7 @@ import time
 
 import pytest
 
-from bbq_torchrl.people.study.database import reading
+from bbq_torchrl.people.study.database import opened
 
 from .conftest import STUDY, hidden
 from .served import Server
@@ -29,7 +29,7 @@ AGENTS = 'agents: {secret-bbqn: "shipped:bbqn_map", secret-dqn: "shipped:dqn"}'
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    "talker", ["study.fakes:make", "bbq_torchrl.people.study.agents:make_talker"]
+    "talker", ["study.fakes:make", "bbq_torchrl.people.study.players:make_talker"]
 )
 def test_two_hundred_people_at_once_are_answered_within_a_second(tmp_path, talker):
     study = STUDY.replace("participants: 5", f"participants: {PEOPLE}")
@@ -40,7 +40,7 @@ def test_two_hundred_people_at_once_are_answered_within_a_second(tmp_path, talke
     (tmp_path / "study.yaml").write_text(study)
     with Server(tmp_path / "study.yaml", talker=talker) as server:
         seconds, acknowledged = asyncio.run(everybody(server))
-    with reading(tmp_path / "study.sqlite") as connection:
+    with opened(tmp_path / "study.sqlite") as connection:
         stored = {text for (text,) in connection.execute("SELECT text FROM exchange")}
     assert len(acknowledged) > PEOPLE  # some agents end a conversation before the last message
     assert set(acknowledged) == stored

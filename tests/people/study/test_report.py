@@ -12,11 +12,9 @@ import pytest
 
 from bbq_torchrl.domains.frames import Frame
 from bbq_torchrl.people.study.__main__ import main
-from bbq_torchrl.people.study.comparisons import compare_pairs
-from bbq_torchrl.people.study.export import defused, without_names
-from bbq_torchrl.people.study.records import SCALES
-from bbq_torchrl.people.study.report import report_text, write_report
-from bbq_torchrl.people.study.results import read_results
+from bbq_torchrl.people.study.database import SCALES
+from bbq_torchrl.people.study.outcomes import compare_pairs, power, read_outcomes
+from bbq_torchrl.people.study.report import report, write_report
 from bbq_torchrl.people.study.store import Store
 from bbq_torchrl.utils.statistics import participant_mean
 
@@ -34,6 +32,7 @@ def fill(study, clock):
         talker = FakeTalker(study.domain)
         terms = replace(terms, participants=max(1, len(people)))
         store = Store(study.data, terms, prints(study), clock=clock, **settings)
+        store.rows("PRAGMA synchronous = OFF")  # a test waits for no disk
         for number, ratings in enumerate(people):
             for session in store.sessions(store.enroll(f"nonce-{number:020d}")):
                 rating = ratings[list(terms.agents).index(session.agent)]
@@ -46,16 +45,16 @@ def fill(study, clock):
                 scales = dict.fromkeys(SCALES, rating)
                 store.rate(session, "nonce", scales, rating > 2)
         store.close()
-        return read_results(study.data)
+        return read_outcomes(study.data)
 
     return make
 
 
 def test_every_number_of_a_small_study(fill):
-    results = fill([(5, 1), (4, 2), (5, 3), (2, 3), (4, 5)])
-    text = report_text(results)
+    outcomes = fill([(5, 1), (4, 2), (5, 3), (2, 3), (4, 5)])
+    text = str(report(outcomes))
     assert "5 people enrolled of 5 wanted; 10 sessions ended, 10 of them rated" in text
-    [pair] = compare_pairs(results)
+    [pair] = compare_pairs(outcomes)
     assert pair.success.people == 5
     assert pair.success.mean.value == pytest.approx(0.6)  # 4 of 5 against 1 of 5
     # Three people differ, all in one direction: 2 / 2³.
@@ -65,7 +64,6 @@ def test_every_number_of_a_small_study(fill):
     assert "| secret-bbqn | 5 | 0.80 [0.38, 0.96] |" in text
     assert "| secret-bbqn | 0 | 1 | 0 | 2 | 2 |" in text
     assert "| secret-dqn | 4 | 4 |" in text  # the reasons
-    assert "**0.250**" in text
     assert "Nobody is conspicuous." in text
     # Verdict and judge agree in 8 of 10 sessions, and would by chance in .7 × .5 + .3 × .5.
     assert re.search(r"Cohen's κ 0\.60 \[\S+, \S+\] over 10 sessions", text)
@@ -73,13 +71,13 @@ def test_every_number_of_a_small_study(fill):
 
 
 def test_peoples_names_tell_nothing_of_who_came_when(fill):
-    results = fill([(5, 1)] * 8, secret="of this test")
-    names = list(dict.fromkeys(session.person for session in results.sessions))
+    outcomes = fill([(5, 1)] * 8, secret="of this test")
+    names = list(dict.fromkeys(session.person for session in outcomes.sessions))
     assert names != sorted(names) == [f"P{number}" for number in range(1, 9)]
 
 
 def test_a_warning_is_told_from_what_comes_with_length(fill):
-    results = fill([(5, 1), (4, 2), (1, 5), (2, 5)])
+    outcomes = fill([(5, 1), (4, 2), (1, 5), (2, 5)])
 
     def in_doubt(session):
         """Failures continue for an answer in doubt; at first they look like the others."""
@@ -87,34 +85,34 @@ def test_a_warning_is_told_from_what_comes_with_length(fill):
         more = replace(last, beliefs={**last.beliefs, "entropy": 2.0})
         return replace(session, exchanges=(*session.exchanges, more))
 
-    sessions = [item if item.success else in_doubt(item) for item in results.sessions]
-    text = report_text(replace(results, sessions=sessions))
+    sessions = [item if item.success else in_doubt(item) for item in outcomes.sessions]
+    text = str(report(replace(outcomes, sessions=sessions)))
     assert "| entropy of the first 3 answers | length |" in text
-    for agent in results.terms.agents:
+    for agent in outcomes.terms.agents:
         assert re.search(rf"\| {agent} \| 4 \| 1.00 \[.+\] \| 0.50 \[.+\] \| 1.00 \[.+\] \|", text)
 
 
 @pytest.mark.parametrize("people", [[(5, 1)] * 3, [(5, 5), (5, 1), (4, 5)], [(1, 5), (5, 4)]])
 def test_no_interval_leaves_its_scale_or_claims_certainty(fill, people):
-    results = fill(people)
-    [pair] = compare_pairs(results)
+    outcomes = fill(people)
+    [pair], text = compare_pairs(outcomes), str(report(outcomes))
     found = [(pair.success.mean, -1, 1), (pair.rating.mean, -4, 4)]
-    for agent in results.terms.agents:
-        found.append((participant_mean(results.ratings(agent).values(), (1, 5)), 1, 5))
-        assert str(found[-1][0]) in report_text(results)
+    for agent in outcomes.terms.agents:
+        found.append((participant_mean(outcomes.ratings(agent).values(), (1, 5)), 1, 5))
+        assert str(found[-1][0]) in text
     for interval, least, most in found:
         assert least <= interval.low < interval.high <= most
         assert interval.low <= interval.value <= interval.high
 
 
 def test_flagged_people_are_shown_and_counted(fill):
-    results = fill([(5, 1), (4, 4), (3, 3)], pause=1.0)
-    text = report_text(results)
-    assert len(results.flags()) == 3
+    outcomes = fill([(5, 1), (4, 4), (3, 3)], pause=1.0)
+    text = str(report(outcomes))
+    assert len(outcomes.flags()) == 3
     assert "too fast" in text
     assert "always the same rating" in text
     assert "Without the 3 people who are flagged below" in text
-    assert [pair.success.people for pair in compare_pairs(results)] == [3]
+    assert [pair.success.people for pair in compare_pairs(outcomes)] == [3]
 
 
 def test_a_report_of_no_session_says_so(fill, tmp_path):
@@ -124,21 +122,23 @@ def test_a_report_of_no_session_says_so(fill, tmp_path):
 
 def test_a_report_of_one_agent_tests_nothing(fill, study):
     terms = replace(study.terms, agents={"secret-dqn": "x"}, pairs=(), sessions=1)
-    assert "No pair was declared" in report_text(fill([(5,), (3,)], terms=terms))
+    assert "No pair was declared" in str(report(fill([(5,), (3,)], terms=terms)))
 
 
 @pytest.mark.parametrize("rating", [1, 5])
 def test_a_report_in_which_all_are_equal_has_no_difference(fill, rating):
-    results = fill([(rating, rating)] * 3)
-    assert "κ is undefined" in report_text(results)
-    [pair] = compare_pairs(results)
-    assert pair.success.p == pair.rating.p == pair.fisher == pair.mann_whitney == 1.0
-    assert str(pair.boschloo) == "–"
+    outcomes = fill([(rating, rating)] * 3)
+    assert "κ is undefined" in str(report(outcomes))
+    [pair] = compare_pairs(outcomes)
+    p_values = [pair.success.p, pair.rating.p, *pair.success.classical.values()]
+    assert [*map(str, p_values), *map(str, pair.rating.classical.values())] == [
+        *("1.000", "1.000", "1.000", "–", "1.000")
+    ]
 
 
-def test_the_two_figures_and_the_data_are_written(fill, tmp_path):
+def test_the_figures_and_the_data_are_written(fill, tmp_path):
     write_report(tmp_path, fill([(5, 1), (4, 3)], text="=cmd() my name is Ann"))
-    for figure in ("success.png", "ratings.png"):
+    for figure in ("success.png", "differences.png", "ratings.png"):
         assert (tmp_path / figure).read_bytes().startswith(b"\x89PNG")
     for file in ("exchanges.csv", "sessions.csv"):  # Excel reads é by this mark
         assert (tmp_path / file).read_bytes().startswith("\ufeffsession,".encode())
@@ -163,63 +163,36 @@ def test_the_two_figures_and_the_data_are_written(fill, tmp_path):
 
 
 def test_what_the_agent_repeats_of_a_name_is_replaced_too(fill, tmp_path):
-    results = fill([(5, 1)])
-    first = results.sessions[0]
-    said = replace(first.exchanges[0], said=Frame("inform", {"city": "my name is Ann"}))
-    write_report(tmp_path, replace(results, sessions=[replace(first, exchanges=[said])]))
+    outcomes = fill([(5, 1)])
+    first = outcomes.sessions[0]
+    said = replace(first.exchanges[0], answered=Frame("inform", {"city": "my name is Ann"}))
+    write_report(tmp_path, replace(outcomes, sessions=[replace(first, exchanges=[said])]))
     for file in ("exchanges.csv", "sessions.jsonl"):
         text = (tmp_path / file).read_text()
         assert "my name is [name]" in text
         assert "Ann" not in text
 
 
-def test_what_a_spreadsheet_would_run_is_defused_and_nothing_else():
-    for text in ("=1+1", "+1", "-1", "@a", " =cmd()", "\t=x", "\r-x"):
-        assert defused(text) == f"'{text}"
-    for cell in ("two", "a=b", "", -3, 0.5):
-        assert defused(cell) == cell
-
-
-@pytest.mark.parametrize(
-    ("text", "kept"),
-    [
-        ("My name is Ann Lee and I want 2", "My name is [name] and I want 2"),
-        ("call me Bob, please", "call me [name], please"),
-        ("write to ann.lee+x@mail.example.org", "write to [address]"),
-        ("call +1 (555) 123-4567 at 7", "call [number] at 7"),
-        ("2 tickets on the 9th at 7:30 in 98101", "2 tickets on the 9th at 7:30 in 98101"),
-    ],
-)
-def test_names_that_are_given_as_such_are_replaced(text, kept):
-    assert without_names(text) == kept
-
-
-def test_the_power_command_prints_both_tests(capsys):
+def test_the_power_command_prints_what_it_found(capsys):
     assert main(["power", "0.9", "0.1", "20", "--simulations", "100"]) == 0
-    lines = capsys.readouterr().out.splitlines()
-    assert lines[0].endswith("1.000")
-    assert len(lines) == 3
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.endswith(f"{power(0.9, 0.1, 20, person_sd=1.0, simulations=100):.3f}")
+    assert second.endswith("0.050")
 
 
 @pytest.mark.parametrize(
-    ("command", "sentence"),
+    ("command", "key"),
     [
-        ("report nowhere.yaml", "error: nowhere.sqlite: there is no such file"),
-        (
-            "serve nowhere.yaml --port {free} --talker no.such:thing",
-            "error: --talker: it must be module:",
-        ),
-        (
-            "serve nowhere.yaml --port {free} --talker json:dumps",
-            "error: nowhere.yaml: No such file",
-        ),
-        ("power 1.5 0.4 66", "must be a number between 0.001 and 0.999, got '1.5'"),
-        ("power 0.6 0.4 0", "must be a whole number between 1 and 100000, got '0'"),
-        ("serve a --talker b:c --port x", "must be a whole number between 1 and 65535, got 'x'"),
+        ("report nowhere.yaml", "nowhere.sqlite"),
+        ("serve nowhere.yaml --port {free} --talker no.such:thing", "--talker"),
+        ("serve nowhere.yaml --port {free} --talker json:dumps", "nowhere.yaml"),
+        ("power 1.5 0.4 66", "better"),
+        ("power 0.6 0.4 0", "people"),
+        ("serve a --talker b:c --port x", "--port"),
     ],
 )
 def test_a_command_that_cannot_be_done_is_told_in_a_sentence(
-    tmp_path, monkeypatch, capsys, command, sentence
+    tmp_path, monkeypatch, capsys, command, key
 ):
     monkeypatch.chdir(tmp_path)
     try:
@@ -228,13 +201,13 @@ def test_a_command_that_cannot_be_done_is_told_in_a_sentence(
         code = ended.code
     error = capsys.readouterr().err
     assert code == 2
-    assert sentence in error.splitlines()[-1]
+    assert key in error.splitlines()[-1]
     assert error.startswith("usage: ") or error.count("\n") == 1
 
 
 def test_report_and_power_need_neither_torch_nor_the_extra(tmp_path):
     program = (
-        "import sys; from bbq_torchrl.people.study import comparisons, report, results; "
+        "import sys; from bbq_torchrl.people.study import outcomes, report; "
         "sys.exit(bool({'torch', 'starlette', 'jinja2', 'uvicorn'} & set(sys.modules)))"
     )
     forked.python("-c", program, cwd=tmp_path)

@@ -18,23 +18,13 @@ def talk(site):
 def test_wrong_guessed_and_other_links_get_the_same_page(site):
     token = site.enroll().removeprefix("/p/")
     other = site.researcher.removeprefix("/r/")
-    pages = [
-        site.client.get(path)
-        for path in (
-            f"/p/{token[:-1]}{'A' if token[-1] != 'A' else 'B'}",
-            "/p/1",
-            f"/p/{'x' * 5_000}",
-            f"/p/{other}",
-            f"/r/{token}",
-            f"/join/{token}",
-            "/p/%00",
-            "/p/%ff%fe",
-            "/",
-            "/nothing",
-            "/static/../study.sqlite",
-            "/static/nothing",
-        )
-    ]
+    paths = (
+        f"/p/{token[:-1]}{'A' if token[-1] != 'A' else 'B'}",
+        *("/p/1", f"/p/{'x' * 5_000}", f"/p/{other}", f"/r/{token}", f"/join/{token}"),
+        *("/p/%00", "/p/%ff%fe", "/", "/nothing", "/static/../study.sqlite", "/static/nothing"),
+        *(f"/r/{other}/{session}" for session in ("999", "9" * 5_000, "-1", "one", "%D9%A1")),
+    )
+    pages = [site.client.get(path) for path in paths]
     assert {page.status_code for page in pages} == {404}
     assert len({page.text for page in pages}) == 1
     assert len({tuple(sorted(page.headers)) for page in pages}) == 1
@@ -68,29 +58,20 @@ def test_an_unknown_step_is_no_page(site):
 @pytest.mark.parametrize(
     ("sent", "status"),
     [
-        ({"headers": {**FORM, "origin": "http://evil.example"}}, 403),
-        ({"headers": {**FORM, "origin": "null"}}, 403),
-        ({"headers": {**FORM, "origin": "https://testserver.evil"}}, 403),
-        ({"headers": {**FORM, "origin": "["}}, 403),
-        ({"headers": {**FORM, "origin": ""}}, 403),
         ({"content": b"text=" + b"x" * 10_000_000, "headers": FORM}, 413),
-        ({"json": {"text": "x"}}, 415),
-        ({"files": {"text": b"x"}}, 415),
+        ({"json": {"text": "x"}}, 400),
+        ({"files": {"text": b"x"}}, 400),
     ],
-    ids=["evil", "null", "suffix", "bracket", "blank", "ten megabytes", "JSON", "multipart"],
+    ids=["ten megabytes", "JSON", "multipart"],
 )
-def test_what_is_no_form_of_ours_is_refused_before_it_is_parsed(site, monkeypatch, sent, status):
-    link = site.enroll()
-    monkeypatch.setattr("bbq_torchrl.people.study.guard.parse_qsl", None)
-    page = site.client.post(f"{link}/say", **sent)
-    assert page.status_code == status
-    assert ("16,384 bytes" in page.text) == (status == 413)
+def test_what_is_no_form_of_ours_is_refused(site, sent, status):
+    assert site.client.post(f"{site.enroll()}/say", **sent).status_code == status
+    assert site.talker.calls == 0
 
 
-def test_the_longest_text_in_the_widest_letters_fits_and_the_own_origin_is_served(site):
+def test_the_longest_text_in_the_widest_letters_fits(site):
     link, form = talk(site)
-    own = {"origin": "http://testserver"}
-    page = site.client.post(f"{link}/say", data={**form, "text": "🎬" * 1_000}, headers=own)
+    page = site.client.post(f"{link}/say", data={**form, "text": "🎬" * 1_000})
     assert page.status_code == 200
 
 
@@ -113,7 +94,7 @@ def answers(site, link, receive, **headers):
 
 
 def test_a_slow_body_is_cut_off(site, monkeypatch):
-    monkeypatch.setattr("bbq_torchrl.people.study.guard.BODY_SECONDS", 0.05)
+    monkeypatch.setattr("bbq_torchrl.people.study.web.BODY_SECONDS", 0.05)
 
     async def receive():
         await asyncio.sleep(0.02)
@@ -122,22 +103,19 @@ def test_a_slow_body_is_cut_off(site, monkeypatch):
     assert answers(site, site.enroll(), receive)[0]["status"] == 408
 
 
-@pytest.mark.parametrize(
-    ("headers", "status"),
-    [({"origin": "http://evil.example"}, 403), ({"content-type": "application/json"}, 415)],
-)
-def test_a_form_is_read_to_its_end_before_it_is_refused(site, headers, status):
+def test_a_form_is_read_to_its_end_before_it_is_refused(site):
     """Else the connection is reset, and a proxy such as Caddy loses the answer."""
     left = [{"type": "http.request", "body": b"x", "more_body": more} for more in (False, True)]
 
     async def receive():
         return left.pop()
 
-    assert answers(site, site.enroll(), receive, **headers)[0]["status"] == status
+    sent = answers(site, site.enroll(), receive, origin="http://evil.example")
+    assert sent[0]["status"] == 403
     assert left == []
 
 
-def test_half_a_form_is_not_answered(site):
+def test_half_a_form_is_not_taken(site):
     link, form = talk(site)
     body = "&".join(f"{key}={value}" for key, value in form.items()).encode()
     messages = iter(
@@ -150,7 +128,7 @@ def test_half_a_form_is_not_answered(site):
     async def receive():
         return next(messages)
 
-    assert answers(site, link, receive) == []
+    assert answers(site, link, receive)[0]["status"] == 400
     assert site.talker.calls == 0
 
 

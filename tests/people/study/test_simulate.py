@@ -10,11 +10,10 @@ from statistics import fmean
 import pytest
 
 from bbq_torchrl.people.study.__main__ import main
-from bbq_torchrl.people.study.database import StoreError
+from bbq_torchrl.people.study.database import SCALES, StoreError
 from bbq_torchrl.people.study.export import export
-from bbq_torchrl.people.study.records import SCALES
-from bbq_torchrl.people.study.report import report_text
-from bbq_torchrl.people.study.results import read_results
+from bbq_torchrl.people.study.outcomes import read_outcomes
+from bbq_torchrl.people.study.report import report
 from bbq_torchrl.people.study.simulate import RATING_RULE, drawn_ratings, simulate
 from bbq_torchrl.people.study.store import Store
 
@@ -46,22 +45,22 @@ def played(study, folder, talker=None, seed=1):
     folder.mkdir(exist_ok=True)
     study = replace(study, path=folder / "study.yaml")
     simulate(study, talker or FakeTalker(study.domain), make_users(study), seed=seed)
-    results = read_results(study.data)
-    export(folder, results)
+    outcomes = read_outcomes(study.data)
+    export(folder, outcomes)
     files = {name: (folder / name).read_text(encoding="utf-8") for name in FILES}
-    return {**files, "report.md": report_text(results)}
+    return {**files, "report.md": str(report(outcomes))}
 
 
 def test_everybody_takes_part_and_all_is_called_simulated(study, tmp_path):
     files = played(study, tmp_path)
-    results = read_results(study.data)
-    assert len(results.sessions) == 2 * study.terms.participants
+    outcomes = read_outcomes(study.data)
+    assert len(outcomes.sessions) == 2 * study.terms.participants
     for agent in study.terms.agents:
-        assert len(results.successes(agent)) == study.terms.participants
-    assert {session.success for session in results.sessions} == {True, False}
-    assert {session.verdict for session in results.sessions} == {True, False}
-    assert results.open == 0
-    assert not any("too fast" in flag for flags in results.flags().values() for flag in flags)
+        assert len(outcomes.successes(agent)) == study.terms.participants
+    assert {session.success for session in outcomes.sessions} == {True, False}
+    assert {session.verdict for session in outcomes.sessions} == {True, False}
+    assert outcomes.open == 0
+    assert not any("too fast" in flag for flags in outcomes.flags().values() for flag in flags)
     assert files["report.md"].startswith("# Tickets (simulated users)\n")
     assert RATING_RULE in files["report.md"]
     for name in ("sessions.csv", "exchanges.csv"):

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import special, stats
 
-from bbq_torchrl.people.study.comparisons import power
+from bbq_torchrl.people.study.outcomes import power
 from bbq_torchrl.utils.statistics import (
     PValue,
     auroc,
@@ -37,7 +37,7 @@ def test_sessions_of_one_person_are_averaged_first():
 
 def test_the_interval_of_a_proportion_holds_the_truth_also_where_people_differ():
     rng = np.random.default_rng(0)
-    held, studies = 0, 600
+    held, studies = 0, 300
     for _ in range(studies):
         rates = special.expit(rng.normal(0, 1.5, 30))
         found = proportion((rng.random((30, 4)) < rates[:, None]).tolist())
@@ -66,11 +66,10 @@ def test_a_mean_at_its_bounds_has_the_interval_of_two_more_people(values):
     assert found.low <= found.value <= found.high
 
 
-@pytest.mark.parametrize("people", [4, 10, 30])
-def test_the_interval_of_a_mean_near_its_bound_holds_the_truth(people):
+def test_the_interval_of_a_mean_near_its_bound_holds_the_truth():
     rng = np.random.default_rng(0)
-    studies, ratings = 2_000, np.array([5.0, 4.0, 2.0])
-    drawn = rng.choice(ratings, p=[0.8, 0.15, 0.05], size=(studies, people))
+    studies, ratings = 1_000, np.array([5.0, 4.0, 2.0])
+    drawn = rng.choice(ratings, p=[0.8, 0.15, 0.05], size=(studies, 6))
     intervals = [participant_mean(row[:, None].tolist(), (1, 5)) for row in drawn]
     held = sum(item.low <= 4.7 <= item.high for item in intervals)
     assert held / studies > 0.95 - 4.5 * math.sqrt(0.95 * 0.05 / studies)
@@ -181,10 +180,10 @@ def exact_power(better, worse, people, level):
 def test_power_without_differences_between_people_is_the_closed_form(pairs):
     found = power(0.6, 0.4, 66, person_sd=0.0, pairs=pairs, simulations=800)
     expected = exact_power(0.6, 0.4, 66, 0.05 / pairs)
-    assert found.sign_flip == pytest.approx(expected, abs=4.5 * 0.018)
+    assert found == pytest.approx(expected, abs=4.5 * 0.018)
 
 
 def test_between_equal_agents_a_difference_is_found_no_more_often_than_the_level():
     studies = 500
     found = power(0.5, 0.5, 24, sessions=2, person_sd=1.5, simulations=studies)
-    assert found.sign_flip <= 0.05 + 4.5 * math.sqrt(0.05 * 0.95 / studies)
+    assert found <= 0.05 + 4.5 * math.sqrt(0.05 * 0.95 / studies)

@@ -1,25 +1,88 @@
-"""The simulator's users as people: turn by turn what they are in the simulator."""
+"""Trained agents and the simulator's users in a study, and turn by turn as in the simulator."""
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import pytest
 import torch
+from acts import Acts
 
 pytest.importorskip("pycrfsuite", reason="needs the extra language")
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.domains.frames import Coding
-from bbq_torchrl.people.language import Frame
-from bbq_torchrl.people.study.users import SimulatedUser
+from bbq_torchrl.domains.frames import Coding, Frame
+from bbq_torchrl.people.language import Generator
+from bbq_torchrl.people.study import StudyError, load_study, players
+from bbq_torchrl.people.study.outcomes import read_outcomes
+from bbq_torchrl.people.study.players import SimulatedUser
+from bbq_torchrl.people.study.simulate import simulate
 from bbq_torchrl.simulator import Simulator
 
+STUDY = """
+name: Tickets
+consent: We study assistants.
+agents: {bbqn: bbqn, dqn: dqn}
+pairs: [[bbqn, dqn]]
+participants: 2
+"""
 
-class Letters:
-    """Says frames as transcripts write them."""
+
+class Letters(Generator):
+    """A user says frames as transcripts write them."""
+
+    def __init__(self, domain=None):
+        if domain is not None:
+            super().__init__(domain)
 
     def user(self, frame, question=None, *, session=0, turn=0):
         self.question = question
         return str(frame)
+
+
+@pytest.fixture
+def study(runs, monkeypatch):
+    """Beside the runs, whose folders it names; people type acts, so that nothing is learned."""
+    monkeypatch.setattr(players, "cached_understander", lambda *_: Acts())
+    monkeypatch.setattr(players, "Generator", Letters)
+    file = runs / "tickets.yaml"
+    file.write_text(STUDY, encoding="utf-8")
+    yield load_study(file)
+    for left in runs.glob("tickets.*"):
+        left.unlink()
+
+
+def test_simulated_users_take_part_in_a_study_of_trained_agents(study):
+    talker = players.make_talker(study)
+    assert len({talker.fingerprint(name) for name in study.terms.agents}) == 2
+    simulate(study, talker, players.make_users(study), seed=3)
+    outcomes = read_outcomes(study.data)
+    assert outcomes.simulated
+    assert sorted(session.agent for session in outcomes.sessions) == ["bbqn", "bbqn", "dqn", "dqn"]
+    for session in outcomes.sessions:
+        goal = talker.domain.goals[session.goal - 1]
+        assert session.exchanges[0].understood.informs.items() <= goal.constraints.items()
+        assert (session.exchanges[0].beliefs is not None) == (session.agent == "bbqn")
+        assert session.verdict is not None
+        # Agents have learned with four turns; how many there are is the study's.
+        farewell = session.exchanges[-1].answered.act in ("thanks", "closing")
+        assert (session.ended_by == "agent") == farewell
+
+
+def test_a_shipped_agent_talks_in_a_study(study):
+    study = replace(study, terms=replace(study.terms, agents={"bbqn": "shipped:bbqn_map"}))
+    reply = players.make_talker(study).reply("bbqn", None, "inform(moviename=barbie)", 0)
+    assert reply.understood.informs == {"moviename": "barbie"}
+    assert reply.beliefs is not None
+
+
+def test_agents_that_cannot_talk_are_named_together(study, restaurant):
+    agents = {"one": "shipped:nobody", "two": "nowhere", "three": "dqn"}
+    terms = replace(study.terms, agents=agents)
+    with pytest.raises(StudyError) as error:
+        players.make_talker(replace(study, terms=terms, domain=restaurant))
+    for name, fault in zip(agents, error.value.faults, strict=True):
+        assert f"agent {name} " in fault
 
 
 @pytest.fixture
@@ -69,7 +132,7 @@ def test_a_user_says_what_it_means_in_the_simulator(movie, simulator):
     assert 0 < satisfied < 24
 
 
-def test_a_user_who_is_asked_again_says_it_again(movie, simulator):
+def test_a_user_who_is_asked_again_says_it_again(simulator):
     speak = Letters()
     user = SimulatedUser(simulator, speak, 1, 0)
     first = user.say(None)

@@ -1,0 +1,328 @@
+"""Outcomes of a study so far: its ended sessions, and the declared comparisons with their power."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections import defaultdict
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import cache
+from itertools import chain, pairwise
+from statistics import fmean, median
+from typing import TYPE_CHECKING, NamedTuple, TypeVar
+
+import numpy as np
+from scipy import optimize, special, stats
+
+from bbq_torchrl.people.study.database import (
+    EXCHANGES,
+    HIGHEST,
+    LOWEST,
+    NOT_FORGOTTEN,
+    SESSIONS,
+    Exchange,
+    Session,
+    opened,
+)
+from bbq_torchrl.people.study.plan import Terms
+from bbq_torchrl.utils.statistics import (
+    ALPHA,
+    Estimate,
+    PValue,
+    holm,
+    participant_mean,
+    sign_flip,
+)
+
+if TYPE_CHECKING:
+    from collections.abc import Callable, Collection, Mapping, Sequence
+    from pathlib import Path
+
+Value = TypeVar("Value")
+
+FAST_SECONDS = 2.0
+"""A participant who mostly replies sooner has hardly read the answers."""
+
+
+@dataclass(frozen=True)
+class Outcome(Session):
+    """An ended session; its person is an anonymous name: ``P1``, ``P2``, ...
+
+    Attributes:
+        exchanges: the session's exchanges.
+    """
+
+    exchanges: tuple[Exchange, ...]
+
+    @property
+    def pauses(self) -> list[float]:
+        """Seconds between each answer and the answer to the participant's next message."""
+        times = [exchange.at for exchange in self.exchanges]
+        return [later - earlier for earlier, later in pairwise(times)]
+
+    def entropy(self, first: int | None = None) -> float | None:
+        """Returns the mean entropy of the best action; ``None`` without a posterior.
+
+        Args:
+            first: the number of exchanges, or ``None`` for all.
+        """
+        found = [item.beliefs["entropy"] for item in self.exchanges[:first] if item.beliefs]
+        return fmean(found) if found else None
+
+
+@dataclass(frozen=True)
+class Outcomes:
+    """A study's outcomes.
+
+    Attributes:
+        terms: the declared terms.
+        package: the version of the package that it runs with.
+        simulated: whether the participants are simulated users.
+        enrolled: the number of participants enrolled.
+        open: the number of sessions that have begun and not ended.
+        sessions: the ended sessions.
+    """
+
+    terms: Terms
+    package: str
+    simulated: bool
+    enrolled: int
+    open: int
+    sessions: tuple[Outcome, ...]
+
+    def by_person(
+        self, of: Callable[[Outcome], Value | None], agent: str | None = None
+    ) -> dict[str, list[Value]]:
+        """Returns values of each participant's sessions, where available.
+
+        Args:
+            of: returns the value of a session, or ``None``.
+            agent: the agent of the sessions; ``None`` for all agents.
+        """
+        found: dict[str, list[Value]] = defaultdict(list)
+        for session in self.sessions:
+            if agent in (None, session.agent) and (value := of(session)) is not None:
+                found[session.person].append(value)
+        return dict(found)
+
+    def successes(self, agent: str) -> dict[str, list[bool]]:
+        """Returns the judge's verdicts on an agent by participant."""
+        return self.by_person(lambda session: session.success, agent)
+
+    def ratings(self, agent: str, scale: str = "overall") -> dict[str, list[int]]:
+        """Returns an agent's ratings by participant."""
+        return self.by_person(lambda item: item.ratings[scale] if item.ratings else None, agent)
+
+    def flags(self) -> dict[str, list[str]]:
+        """Returns the flags of conspicuous participants; nobody is excluded for them."""
+        people = self.by_person(lambda session: session)
+        by_number = sorted(people, key=lambda person: int(person.removeprefix("P")))
+        return {person: flags for person in by_number if (flags := _flags(people[person]))}
+
+
+def _flags(sessions: Sequence[Outcome]) -> list[str]:
+    pauses = [pause for session in sessions for pause in session.pauses]
+    rated = [session.ratings for session in sessions if session.ratings]
+    checks = {
+        f"too fast: mostly under {FAST_SECONDS:g} s between answer and message": (
+            len(pauses) > 2 and median(pauses) < FAST_SECONDS
+        ),
+        "always the same rating": (
+            len(rated) > 1 and len({value for scales in rated for value in scales.values()}) == 1
+        ),
+        "one message a conversation": all(len(session.exchanges) < 2 for session in sessions),
+    }
+    return [flag for flag, holds in checks.items() if holds]
+
+
+def read_outcomes(data: Path) -> Outcomes:
+    """Returns the outcomes in a study's file, even while it is being served.
+
+    Args:
+        data: the SQLite file.
+
+    Raises:
+        StoreError: it cannot be read.
+    """
+    with opened(data) as connection:
+        terms, package, simulated = connection.execute(
+            "SELECT terms, package, simulated FROM study"
+        ).fetchone()
+        people = connection.execute(f"SELECT id, token FROM person {NOT_FORGOTTEN}").fetchall()
+        names = report_names(people)
+        sessions = list(map(Session.of, connection.execute(f"{SESSIONS} ORDER BY session.id")))
+        ended = []
+        for session in sessions:
+            if session.is_ended:
+                exchanges = map(Exchange.of, connection.execute(EXCHANGES, (session.id,)))
+                about = {**vars(session), "person": names[session.person]}
+                ended.append(Outcome(**about, exchanges=tuple(exchanges)))
+    return Outcomes(
+        terms=Terms(**json.loads(terms)),
+        package=package,
+        simulated=bool(simulated),
+        enrolled=len(people),
+        open=sum(session.messages > 0 and not session.is_ended for session in sessions),
+        sessions=tuple(ended),
+    )
+
+
+def report_names(people: Sequence[tuple[int, str]]) -> dict[str, str]:
+    """Returns the names in a report by participant number; they do not reveal who came when.
+
+    Args:
+        people: each participant's number and link hash, without forgotten participants.
+    """
+    by_chance = sorted(people, key=lambda person: hashlib.sha256(person[1].encode()).digest())
+    return {str(person): f"P{number}" for number, (person, _) in enumerate(by_chance, start=1)}
+
+
+class Difference(NamedTuple):
+    """Participants' differences between two agents, in success or in the overall rating.
+
+    Attributes:
+        people: the number of participants who have sessions with both.
+        mean: their mean difference, with its interval.
+        p: the p-value of the sign-flip test.
+        holm: the same, adjusted for all declared pairs.
+        classical: p-values of the usual tests, which treat sessions as independent, by name.
+    """
+
+    people: int
+    mean: Estimate
+    p: PValue
+    holm: PValue
+    classical: Mapping[str, PValue]
+
+
+class Comparison(NamedTuple):
+    """A declared pair.
+
+    Attributes:
+        better: the agent declared first.
+        worse: the other.
+        success: the difference in success.
+        rating: the difference in the overall rating.
+    """
+
+    better: str
+    worse: str
+    success: Difference
+    rating: Difference
+
+
+def compare_pairs(outcomes: Outcomes, without: Collection[str] = ()) -> list[Comparison]:
+    """Returns the comparison of every declared pair.
+
+    Args:
+        outcomes: the study's outcomes.
+        without: participants to leave out.
+    """
+    kept = [session for session in outcomes.sessions if session.person not in without]
+    outcomes = replace(outcomes, sessions=tuple(kept))
+    success = _differences(outcomes, outcomes.successes, 1, _exact_tests)
+    rating = _differences(outcomes, outcomes.ratings, HIGHEST - LOWEST, _rank_test)
+    return [
+        Comparison(better, worse, *differences)
+        for (better, worse), *differences in zip(outcomes.terms.pairs, success, rating, strict=True)
+    ]
+
+
+def _differences(
+    outcomes: Outcomes,
+    of: Callable[[str], Mapping[str, Sequence[int]]],
+    most: int,
+    classical: Callable[[list[int], list[int]], Mapping[str, float]],
+) -> list[Difference]:
+    """Returns, for each pair, participants' means with one agent minus those with the other.
+
+    The differences lie between ``-most`` and ``most``.
+    """
+    differences, tests = [], []
+    for pair in outcomes.terms.pairs:
+        one, other = (
+            {person: Fraction(sum(v), len(v)) for person, v in of(agent).items()} for agent in pair
+        )
+        both = sorted(one.keys() & other.keys())
+        differences.append([one[person] - other[person] for person in both])
+        found = classical(*(list(chain(*of(agent).values())) for agent in pair))
+        tests.append({name: PValue(p) for name, p in found.items()})
+    p_values = list(map(sign_flip, differences))
+    return [
+        Difference(
+            len(values),
+            participant_mean([[float(value)] for value in values], (-most, most)),
+            PValue(p),
+            PValue(adjusted),
+            others,
+        )
+        for values, p, adjusted, others in zip(
+            differences, p_values, holm(p_values), tests, strict=True
+        )
+    ]
+
+
+def _exact_tests(one: Sequence[int], other: Sequence[int]) -> dict[str, float]:
+    table = [[sum(side), len(side) - sum(side)] for side in (one, other)]
+    fisher, boschloo = stats.fisher_exact(table), stats.boschloo_exact(table)
+    return {"Fisher": fisher.pvalue, "Boschloo": boschloo.pvalue}
+
+
+def _rank_test(one: Sequence[int], other: Sequence[int]) -> dict[str, float]:
+    p_value = stats.mannwhitneyu(one, other).pvalue if one and other else math.nan
+    return {"Mann-Whitney": p_value}
+
+
+def power(
+    better: float,
+    worse: float,
+    people: int,
+    *,
+    sessions: int = 1,
+    pairs: int = 1,
+    person_sd: float = 0.0,
+    simulations: int = 2_000,
+    seed: int = 0,
+) -> float:
+    """Simulates studies of two agents. Returns how often the declared test finds the difference.
+
+    A participant's log-odds of success with either agent are shifted by a normal draw of standard
+    deviation ``person_sd``; the agents' mean success stays as given. Holm's adjustment is taken at
+    its strictest: the pair must be significant at the level divided by the number of pairs.
+
+    Args:
+        better: success of one agent, between 0 and 1.
+        worse: success of the other.
+        people: the number of participants; each meets both agents.
+        sessions: the number of sessions of a participant with each agent.
+        pairs: the number of declared pairs.
+        person_sd: standard deviation between participants, in log-odds.
+        simulations: the number of simulated studies.
+        seed: the random seed.
+    """
+    rng = np.random.default_rng(seed)
+    shift = person_sd * rng.standard_normal((simulations, people))
+    won = [
+        rng.binomial(sessions, special.expit(_center(rate, person_sd) + shift))
+        for rate in (better, worse)
+    ]
+
+    @cache
+    def p_value(differences: tuple[int, ...]) -> float:
+        return sign_flip([Fraction(value, sessions) for value in differences])
+
+    # The test depends only on how often each difference occurs.
+    rows = np.sort(won[0] - won[1]).tolist()
+    return fmean(p_value(tuple(row)) <= ALPHA / pairs for row in rows)
+
+
+def _center(rate: float, person_sd: float) -> float:
+    """Returns the log-odds that succeed at ``rate`` once shifted by participants' normal draws."""
+    nodes, weights = np.polynomial.hermite_e.hermegauss(40)
+
+    def excess(center: float) -> float:
+        return np.average(special.expit(center + person_sd * nodes), weights=weights) - rate
+
+    return optimize.brentq(excess, -50, 50)
