@@ -28,7 +28,8 @@ Block = Callable[[], str]
 
 def pages() -> list[Path]:
     """Returns the pages that may contain blocks."""
-    return [ROOT / "README.md", *sorted((ROOT / "docs").rglob("*.md"))]
+    notes = ROOT / "results" / "NOTES.md"
+    return [ROOT / "README.md", notes, *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def rewrite(text: str, known: Mapping[str, Block], *, page: str = "the page") -> str:

@@ -38,7 +38,7 @@ def _group(group: str) -> str:
         name: (inspect.getdoc(schema) or "").split("\n\n")[0] for name, schema in known.items()
     }
     summaries = [f"- `{group}={name}`: {' '.join(text.split())}" for name, text in meaning.items()]
-    shown = _table({code(name): schema for name, schema in known.items()}, f"{group}.")
+    shown = _table(known, f"{group}.")
     return "\n".join(summaries) + f"\n\n{shown}"
 
 
@@ -46,20 +46,33 @@ for _name in schemas():
     block(f"config.{_name}", _name)(_group)
 
 
-def _table(columns: dict[str, type], prefix: str) -> str:
-    of_columns = [{item.name: item for item in fields(schema)} for schema in columns.values()]
+def _table(options_of: dict[str, type], prefix: str) -> str:
+    """Returns a row for each key; options are named where not all have the same default."""
+    by_option = {name: {item.name: item for item in fields(of)} for name, of in options_of.items()}
     rows = []
-    for key in dict.fromkeys(key for items in of_columns for key in items):
+    for key in dict.fromkeys(key for items in by_option.values() for key in items):
         if key in {"name", *schemas()}:
             continue
-        same = [items[key].metadata for items in of_columns if key in items]
-        defaults = (_default(items[key]) if key in items else "–" for items in of_columns)
+        having = {name: items[key] for name, items in by_option.items() if key in items}
+        shown: dict[str, list[str]] = {}
+        for name, item in having.items():
+            shown.setdefault(_default(item), []).append(name)
+        if len(shown) == 1 and len(having) == len(by_option):
+            default = next(iter(shown))
+        else:
+            default = "; ".join(f"{value} ({', '.join(names)})" for value, names in shown.items())
         told = (
-            dict.fromkeys(entry["allowed"].text for entry in same),
-            dict.fromkeys(entry["meaning"] for entry in same),
+            dict.fromkeys(_allowed(item) for item in having.values()),
+            dict.fromkeys(item.metadata["meaning"] for item in having.values()),
         )
-        rows.append((code(f"{prefix}{key}"), *defaults, *map(" / ".join, told)))
-    return table(("key", *columns, "must be", "meaning"), rows)
+        rows.append((code(f"{prefix}{key}"), default, *map(" / ".join, told)))
+    return table(("key", "default", "must be", "meaning"), rows)
+
+
+def _allowed(item: Field[Any]) -> str:
+    """Returns what a key takes, with a star where a list, one for each replica, is taken too."""
+    text: str = item.metadata["allowed"].text
+    return text.replace(" (or a list, one for each replica)", "*").removeprefix("a ")
 
 
 def _default(item: Field[Any]) -> str:

@@ -1,4 +1,4 @@
-"""The rooms of the package, their layers and imports: the table and picture of docs/how_it_works.md."""
+"""The rooms of the package, their layers and imports: a table and a picture."""
 
 from __future__ import annotations
 
