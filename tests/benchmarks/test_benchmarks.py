@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-import math
-from types import SimpleNamespace
-
 import pytest
 import torch
 from torch.utils.flop_counter import FlopCounterMode
 
-from bbq_torchrl.domains import tensorize
 from bbq_torchrl.envs import DialogueEnv
 from bbq_torchrl.networks import FlatMLP
-from benchmarks import compare, gpu, growth
+from benchmarks import compare, gpu
 from benchmarks.parts import on_device, processes, time_to_learn, timing, updates
-from benchmarks.parts.floor import PARAMETERS, UPDATES, Work, least_seconds, turn, valid_share
+from benchmarks.parts.floor import PARAMETERS, UPDATES, turn, valid_share
 from benchmarks.parts.host_draws import DrawsOnTheHost
 from benchmarks.parts.processes import Used
 from benchmarks.parts.rows import Row, as_table, keep, read
@@ -78,20 +74,6 @@ def test_numbers_of_another_device_are_drawn_by_the_cpus_generator():
     assert [(value.shape, value.device.type) for value in drawn] == [((5,), "meta"), ((3,), "meta")]
 
 
-@pytest.mark.skipif(torch.cuda.is_available(), reason="refused only without a CUDA device")
-def test_the_gpu_benchmark_says_that_there_is_no_gpu(capsys):
-    with pytest.raises(SystemExit):
-        gpu.main([])
-    assert "got cuda: torch finds no CUDA device" in capsys.readouterr().err
-
-
-def test_the_process_part_measures_a_run_with_full_buffers_and_medians_of_starts(commands):
-    memory, start = compare.PARTS["process"](FULL)
-    assert (memory.measured, memory.target, memory.reached) == (1.0, 1.5, True)
-    assert {"agent=bbqn", "env=full", "replicas=5", "spike.dialogues=500"} <= set(commands[0])
-    assert (start.measured, start.target) == (3.0, 6)
-
-
 def test_figures_are_printed_and_kept_as_a_versions(tmp_path, capsys):
     file = tmp_path / "speed.csv"
     compare.main(["process", "--tiny", "--save=0.2.0", f"--file={file}"])
@@ -145,61 +127,6 @@ def test_the_floor_counts_what_torch_and_the_simulator_count(movie):
     assert 0 < valid_share(env) <= 1
 
 
-def test_least_time_adds_up_what_a_step_does():
-    work = Work(operations=20, bytes=15, normals=2, uniforms=4, functions=16)
-    rates = Work(operations=10, bytes=5, normals=2, uniforms=4, functions=8)
-    assert least_seconds(work + work, rates) == 2 * (2 + 3 + 1 + 1 + 2)
-
-
-def test_cells_of_growth_take_the_place_of_earlier_ones_in_the_order_of_the_table(
-    tmp_path, monkeypatch
-):
-    file = tmp_path / "growth.csv"
-    first, *others = growth.GROWTH["replicas"][1]
-    for what in ("new_values", "replicas", "rounds"):
-        growth.keep(file, (what, first, 7.0, 2.0))
-    monkeypatch.setattr(growth, "measure", lambda what, size: (float(size), 1.0))
-    growth.main(["replicas", f"--file={file}"])
-    assert file.read_text().splitlines() == [
-        "what,size,seconds,megabytes",
-        f"rounds,{first},7.0,2.0",
-        *(f"replicas,{size},{float(size)},1.0" for size in (first, *others)),
-        f"new_values,{first},7.0,2.0",
-    ]
-
-
-def test_records_are_mixed_from_the_domains_own(movie):
-    domain = growth.varied(movie, 150)
-    assert len(domain.records) == 150
-    values = {item for record in movie.records for item in record.items()}
-    assert {item for record in domain.records for item in record.items()} <= values
-    assert tensorize(domain).n_values.tolist() == tensorize(movie).n_values.tolist()
-
-
-@pytest.mark.parametrize(
-    ("evaluations", "learned"),
-    [
-        ([math.nan, 0.59, math.nan, 0.6, 0.7], Learned(4.0, True, 4)),
-        ([math.nan, 0.2, 0.3], Learned(3.0, False, 3)),
-    ],
-)
-def test_training_ends_with_the_first_evaluation_that_reaches_the_level(
-    monkeypatch, evaluations, learned
-):
-    """A round takes a second."""
-    clock = [10.0]
-    rates = iter(evaluations)
-
-    def train_round():
-        clock[0] += 1
-        return [{"eval_success_rate": next(rates)}]
-
-    trainer = SimpleNamespace(begin=lambda: None, train_round=train_round)
-    monkeypatch.setattr(time_to_learn, "build_trainer", lambda *_: (trainer, None))
-    monkeypatch.setattr(time_to_learn, "process_time", lambda: clock[0])
-    assert time_to_learn.train([], len(evaluations)) == learned
-
-
 @pytest.mark.parametrize(
     ("seconds", "measured", "is_bound", "remark"),
     [
@@ -236,18 +163,3 @@ def test_a_slow_spell_that_hits_both_leaves_the_ratio():
     # 2 / 1; 20 between 1 and 10; 20 between two of 10; 2 between 10 and 1
     assert result.ratio == pytest.approx((2.0 + 2.0) / 2)
     assert result.seconds == 11.0
-
-
-def test_a_stopwatch_times_every_call_and_lets_go(monkeypatch):
-    clock = [0.0]
-    monkeypatch.setattr(timing, "perf_counter", lambda: clock[0])
-
-    def work(ticks):
-        clock[0] += ticks
-        return "done"
-
-    owner = SimpleNamespace(work=work)
-    with timing.stopwatch(owner, "work") as seconds:
-        assert owner.work(3.0) == owner.work(20.0) == "done"
-    assert seconds == [3.0, 20.0]
-    assert owner.work is work

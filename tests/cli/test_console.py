@@ -7,7 +7,6 @@ import sys
 
 import pytest
 
-import bbq_torchrl
 from bbq_torchrl.cli import console
 from bbq_torchrl.utils import interruption
 from bbq_torchrl.utils.extras import needed
@@ -28,11 +27,6 @@ def test_help_names_every_command(monkeypatch, capsys):
     assert bbq(monkeypatch) == bbq(monkeypatch, "--help") == 0
     out = capsys.readouterr().out
     assert all(f"\n  {name} " in out for name in console.COMMANDS)
-
-
-def test_the_version_is_the_packages(monkeypatch, capsys):
-    assert bbq(monkeypatch, "--version") == 0
-    assert capsys.readouterr().out == f"{bbq_torchrl.__version__}\n"
 
 
 def test_an_unknown_command_is_refused_with_those_that_there_are(monkeypatch, capsys):

@@ -84,15 +84,6 @@ def test_divers_move_earn_and_begin_again_as_plain_ones(size, batch_size):
         assert_agree(td, divers)
 
 
-def test_mapping_depends_on_the_seed_alone():
-    one, same, other = (DeepSeaEnv(8, mapping_seed=seed).right_action for seed in (3, 3, 4))
-    assert torch.equal(one, same)
-    assert not torch.equal(one, other)
-    several = DeepSeaEnv(8, (2, 5), mapping_seed=(4, 3)).right_action
-    assert torch.equal(several[0], other.expand(5, 8, 8))
-    assert torch.equal(several[1], one.expand(5, 8, 8))
-
-
 def test_torchrl_s_transforms_and_vectorized_environments_take_it():
     env = TransformedEnv(DeepSeaEnv(4, (3,)), StepCounter()).append_transform(RewardSum())
     check_env_specs(env)
@@ -101,16 +92,3 @@ def test_torchrl_s_transforms_and_vectorized_environments_take_it():
     serial = SerialEnv(2, lambda: DeepSeaEnv(4, (3,)))
     assert serial.rollout(12, break_when_any_done=False).shape == (2, 3, 12)
     serial.close()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"size": 0}, "size must be at least 1, got 0"),
-        ({"mapping_seed": (1, 2)}, r"got 2 seeds for the batch size \[\]"),
-        ({"mapping_seed": (1, 2), "batch_size": (3,)}, r"got 2 seeds for the batch size \[3\]"),
-    ],
-)
-def test_bad_settings_are_refused(arguments, message):
-    with pytest.raises(ValueError, match=message):
-        DeepSeaEnv(**{"size": 4, **arguments})

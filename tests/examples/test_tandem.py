@@ -64,14 +64,6 @@ def test_an_agent_in_tandem_with_itself_learns_what_the_active_one_does(example,
     assert not same_weights(active, begun)
 
 
-def test_a_passive_agent_begins_with_the_weights_of_its_seed(example, tmp_path):
-    active, passive = example["make_trainers"]("dqn", "dqn", TINY, tmp_path, 7)
-    config = compose([f"+experiment=[agents/dqn,{example['PROTOCOL']}]", *TINY, "seed=7"])
-    own = build_trainer(config, tmp_path / "own")[0].learner.loss.state_dict()
-    assert same_weights(passive, own)
-    assert not same_weights(active, own)
-
-
 def test_the_file_has_a_line_for_each_agent_evaluation_and_replica(example, tmp_path, monkeypatch):
     file = tmp_path / "tandem.csv"
     monkeypatch.setattr(sys, "argv", ["tandem.py", f"--file={file}", *TINY, "protocol.rounds=1"])
