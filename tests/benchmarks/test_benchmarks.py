@@ -44,7 +44,7 @@ def test_part_gives_positive_figures(part, monkeypatch):
     assert all(row.measured > 0 for row in rows if row.unit != "%")
 
 
-@pytest.mark.parametrize("part", ["same", "turns", "updates"])
+@pytest.mark.parametrize("part", [pytest.param("same", marks=pytest.mark.slow), "turns", "updates"])
 def test_the_gpu_benchmark_runs_on_a_cpu_whose_training_equals_itself(part, tmp_path, capsys):
     file = tmp_path / "gpu.csv"
     chosen = ["--device=cpu", "--tiny", f"--file={file}", "--parts", part]

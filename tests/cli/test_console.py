@@ -45,8 +45,8 @@ def test_what_follows_the_command_is_the_commands(monkeypatch, capsys):
     assert '"dialogues": 20' in capsys.readouterr().out
     with pytest.raises(SystemExit) as refused:
         bbq(monkeypatch, "train", "agent=nope")
-    assert refused.value.code == 2
-    assert "agent must be one of bbqn" in capsys.readouterr().err
+    assert refused.value.code == 1
+    assert "agent/nope" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

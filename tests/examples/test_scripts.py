@@ -95,6 +95,7 @@ def test_plateau_measures_the_values_of_the_last_actions_of_successes(names_of, 
     assert example["values_of_successes"](trainer) == [pytest.approx(float(expected), abs=1e-4)]
 
 
+@pytest.mark.slow
 def test_plateau_writes_a_line_for_every_start_freeze_and_seed(names_of, tmp_path, monkeypatch):
     example, file = names_of("plateau"), tmp_path / "plateau.csv"
     monkeypatch.setattr(sys, "argv", ["plateau.py", "--epochs=1", "--seeds=2", f"--file={file}"])
@@ -128,6 +129,7 @@ def test_the_notebook_is_kept_without_outputs(notebook):
     assert [cell for cell in cells if cell.outputs or cell.execution_count is not None] == []
 
 
+@pytest.mark.slow
 def test_the_notebook_runs_from_top_to_bottom(notebook, monkeypatch, tmp_path):
     nbclient = pytest.importorskip("nbclient")
     monkeypatch.setenv("PYTHONPATH", str(ROOT))

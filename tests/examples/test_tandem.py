@@ -64,6 +64,7 @@ def test_an_agent_in_tandem_with_itself_learns_what_the_active_one_does(example,
     assert not same_weights(active, begun)
 
 
+@pytest.mark.slow
 def test_the_file_has_a_line_for_each_agent_evaluation_and_replica(example, tmp_path, monkeypatch):
     file = tmp_path / "tandem.csv"
     monkeypatch.setattr(sys, "argv", ["tandem.py", f"--file={file}", *TINY, "protocol.rounds=1"])
