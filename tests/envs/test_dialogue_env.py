@@ -114,7 +114,7 @@ def test_dialogues_do_not_depend_on_the_default_dtype(movie, channel):
 
 def make(movie, seed):
     schedule = ExtensionSchedule(start=1, every=1)
-    return DialogueEnv(movie, batch_size=(2, 4), seed=seed, schedule=schedule)
+    return DialogueEnv(movie, batch_size=(2, 4), seed=seed, schedule=schedule, users="people")
 
 
 def unpickled(env, _):

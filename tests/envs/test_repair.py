@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import pytest
 import torch
 from tensordict import TensorDict
 
-from bbq_torchrl.domains import ScriptedPolicySpec
-from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, RepairPolicy, scripted_policy
+from bbq_torchrl.envs import DialogueEnv, RepairPolicy, scripted_policy
 from bbq_torchrl.envs.repair import MAX_CONFIRMS, MAX_OFFERS
-from bbq_torchrl.evaluation.rollouts import evaluate, evaluation_rollouts
+from bbq_torchrl.evaluation.rollouts import evaluate
 
 SLOTS = ["city", "date", "zip"]
 ANSWERED = "agent_act:inform agent_informed:theater"
@@ -97,26 +94,6 @@ def test_it_books_more_than_every_other_script(movie):
     assert rate("repair", slot_error_prob=0.0) > 0.79
 
 
-def test_any_domain_can_have_it(restaurant):
-    spec = ScriptedPolicySpec("repair", ("cuisine", "area", "day", "hour", "party_size"))
-    domain = replace(restaurant, policies={**restaurant.policies, "asks": spec})
-    env = DialogueEnv(domain, batch_size=(500,), seed=0)
-    rates = [
-        evaluate(env, scripted_policy(name, env), 500).success.double().mean()
-        for name in ("rule", "careful", "asks")
-    ]
-    assert rates[2] > max(rates[:2])
-
-
-def test_it_plays_legal_actions_in_every_round_of_domain_extension(movie):
-    env = DialogueEnv(movie, batch_size=(2, 100), seed=0, schedule=ExtensionSchedule())
-    for entered in (0, 90, 200):
-        env.set_round(entered)
-        (rollout,) = evaluation_rollouts(env, scripted_policy("repair", env), 100)
-        assert rollout["action_mask"].gather(-1, rollout["action"][..., None]).all()
-        assert rollout["next", "success"].any(2).double().mean() > 0.7
-
-
 def test_it_decides_by_what_is_observed_alone_and_forgets_where_a_dialogue_begins(movie):
     env = DialogueEnv(movie, batch_size=(50,), seed=0, slot_error_prob=0.2)
     policy = scripted_policy("repair", env)
@@ -129,16 +106,6 @@ def test_it_decides_by_what_is_observed_alone_and_forgets_where_a_dialogue_begin
     for step in rollout.unbind(1):
         again = policy(again.update(step.select("observation", "action_mask")))
         assert torch.equal(again["action"], step["action"])
-
-
-def test_it_plays_one_dialogue_as_a_batch_of_one(movie):
-    actions = []
-    for batch in ((), (1,)):
-        env = DialogueEnv(movie, batch_size=batch, seed=0, slot_error_prob=0.3)
-        policy = scripted_policy("repair", env)
-        plays = [env.rollout(env.max_agent_turns, policy)["action"].flatten() for _ in range(4)]
-        actions.append(torch.cat(plays))
-    assert torch.equal(*actions)
 
 
 def test_a_memory_that_was_lost_on_the_way_is_missed(movie):

@@ -17,7 +17,6 @@ from bbq_torchrl.envs import (
     UniformPolicy,
     scripted_policy,
 )
-from bbq_torchrl.evaluation.rollouts import evaluate
 
 
 def played(env, policy):
@@ -38,15 +37,6 @@ def test_a_script_repeats_its_last_action():
     policy = SequencePolicy([3, 5], turns_key=("info", "turns"), action_key="choice")
     td = TensorDict({"info": {"turns": torch.tensor([[0], [1], [2], [7]])}}, batch_size=[4])
     assert policy(td)["choice"].tolist() == [3, 5, 5, 5]
-
-
-def test_every_domain_brings_its_own_policies(restaurant):
-    env = DialogueEnv(restaurant, batch_size=(200,), seed=0, slot_error_prob=0.0)
-    rates = {
-        name: evaluate(env, scripted_policy(name, env), 200).success.double().mean()
-        for name in ("random", *restaurant.policies)
-    }
-    assert rates["random"] < rates["rule"] < rates["careful"]
 
 
 def test_the_random_policy_plays_every_legal_action_alike():
