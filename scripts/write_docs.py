@@ -51,12 +51,8 @@ def rewrite(text: str, known: Mapping[str, Block], *, page: str = "the page") ->
 
 
 def outdated(known: Mapping[str, Block]) -> dict[Path, str]:
-    """Returns the outdated pages and option files with their new text."""
-    changes = {
-        file: text
-        for file, text in option_files().items()
-        if not file.is_file() or file.read_text(encoding="utf-8") != text
-    }
+    """Returns the outdated pages with their new text."""
+    changes = {}
     for page in pages():
         old = page.read_text(encoding="utf-8")
         new = rewrite(old, known, page=page.name)
@@ -65,23 +61,33 @@ def outdated(known: Mapping[str, Block]) -> dict[Path, str]:
     return changes
 
 
+def outdated_options() -> dict[Path, str]:
+    """Returns the outdated files of ``conf/<group>/`` with their new text."""
+    return {
+        file: text
+        for file, text in option_files().items()
+        if not file.is_file() or file.read_text(encoding="utf-8") != text
+    }
+
+
 def main() -> int:
     """Rewrites or checks the pages; returns the exit code."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--check", action="store_true", help="change nothing, fail if out of date")
     check = parser.parse_args().check
-    changes = outdated(BLOCKS)
-    for page, text in changes.items():
-        name = page.relative_to(ROOT)
-        if check:
-            sys.stderr.write(f"{name} is out of date: run python scripts/write_docs.py\n")
-        else:
-            page.parent.mkdir(exist_ok=True)
-            page.write_text(text, encoding="utf-8")
-            sys.stdout.write(f"wrote {name}\n")
+    is_outdated = False
+    for find in (outdated_options, lambda: outdated(BLOCKS)):  # pages show what files compose
+        for file, text in find().items():
+            name, is_outdated = file.relative_to(ROOT), True
+            if check:
+                sys.stderr.write(f"{name} is out of date: run python scripts/write_docs.py\n")
+            else:
+                file.parent.mkdir(exist_ok=True)
+                file.write_text(text, encoding="utf-8")
+                sys.stdout.write(f"wrote {name}\n")
     if not check:
         draw_figures()
-    return int(check and bool(changes))
+    return int(check and is_outdated)
 
 
 if __name__ == "__main__":

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from bbq_torchrl.options.registry import Option, register
-from bbq_torchrl.options.task import over_replicas, spread
+from bbq_torchrl.options.task import keywords, spread
 from bbq_torchrl.settings import (
     ABOVE_ZERO_TO_ONE,
     BELOW_ONE,
@@ -67,11 +67,10 @@ class AgentOption(Option):
 
     @abstractmethod
     def make_actor(self, task: Task) -> QValueActor:
-        """Makes the Q-network and its choice of an action.
+        """Makes the Q-network and its choice of an action, as :meth:`Task.make_actor` does.
 
         Weights are drawn from torch's global generator, with the replicas as the first dimension;
-        your network needs an attribute ``replicas`` with their number. Weights of inactive inputs
-        and actions are set by :meth:`Task.reset_inactive_`.
+        your network needs an attribute ``replicas`` with their number.
         """
 
     @abstractmethod
@@ -92,8 +91,7 @@ class AgentOption(Option):
         from bbq_torchrl.trainers import ReplicaAdam
 
         rates = list(map(float, spread(self.lr, task.replicas)))
-        decay = self.weight_decay
-        return ReplicaAdam(parameters, task.replicas, lr=rates, weight_decay=decay)
+        return ReplicaAdam(parameters, task.replicas, lr=rates, weight_decay=self.weight_decay)
 
     def make_greedy(self, actor: QValueActor) -> TensorDictModuleBase:
         """Makes the policy that acts without exploration."""
@@ -145,9 +143,7 @@ class BBQN(AgentOption):
     std_init: Any = setting(
         0.02, optional(per_replica(POSITIVE), "prior_std"), "initial posterior stds"
     )
-    noise_std: Values = setting(
-        1.0, per_replica(POSITIVE), "std of the noise on the target, in units of Q"
-    )
+    noise_std: Values = setting(1.0, per_replica(POSITIVE), "std of the target's noise, unit of Q")
     kl: str = setting("closed", one_of("closed", "sampled"), "how KL(q || p) is computed")
     kl_temperature: Values = setting(0.014, per_replica(NON_NEGATIVE), "factor on the KL term")
     target: str = setting(
@@ -181,36 +177,17 @@ class BBQN(AgentOption):
     def make_actor(self, task: Task) -> QValueActor:
         """A Gaussian posterior over all weights of a ReLU network."""
         from bbq_torchrl.bayes import BayesMLP
-        from bbq_torchrl.networks import q_actor
 
-        prior_std, std_init = self.prior_std, self.std_init
-        network = BayesMLP(
-            task.inputs,
-            task.actions,
-            self.hidden,
-            replicas=task.replicas,
-            prior_std=prior_std if prior_std == "fan_in" else over_replicas(prior_std, task),
-            mean_init=self.mean_init,  # type: ignore[arg-type]
-            std_init=None if std_init is None else over_replicas(std_init, task),
-            device=task.device,
-        )
-        task.reset_inactive_(network)
-        return q_actor(network, task.action_spec, action_mask_key=task.action_mask_key)
+        posterior = keywords(self, task, "prior_std", "mean_init", "std_init")
+        network = BayesMLP(task.inputs, task.actions, self.hidden, **task.place, **posterior)
+        return task.make_actor(network)
 
     def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
         """The negative ELBO of a weight draw."""
         from bbq_torchrl.objectives import BBQNLoss
 
-        return BBQNLoss(
-            actor,
-            target=self.target,  # type: ignore[arg-type]
-            target_noise=self.target_noise,  # type: ignore[arg-type]
-            kl=self.kl,  # type: ignore[arg-type]
-            noise_std=over_replicas(self.noise_std, task),
-            kl_temperature=over_replicas(self.kl_temperature, task),
-            gamma=over_replicas(self.gamma, task),
-            cache=True,
-        )
+        names = ("target", "target_noise", "kl", "noise_std", "kl_temperature", "gamma")
+        return BBQNLoss(actor, cache=True, **keywords(self, task, *names))
 
     def make_evaluation(
         self, actor: QValueActor, mode: str | None = None
@@ -218,8 +195,8 @@ class BBQN(AgentOption):
         """The mode and its policy, one of :data:`EVALUATION_MODES`."""
         from bbq_torchrl.exploration import EvaluationPolicy
 
-        name = self.evaluate if mode is None else mode
-        return name, EvaluationPolicy(actor, mode=name, num_draws=self.evaluate_draws)  # type: ignore[arg-type]
+        name: Any = self.evaluate if mode is None else mode
+        return name, EvaluationPolicy(actor, mode=name, num_draws=self.evaluate_draws)
 
 
 @register
@@ -258,25 +235,15 @@ class Bootstrap(AgentOption):
         """A shared trunk and its heads."""
         from bbq_torchrl.networks import BootstrapMLP, bootstrap_actor
 
-        network = BootstrapMLP(
-            task.inputs,
-            task.actions,
-            self.hidden,
-            heads=self.heads,
-            replicas=task.replicas,
-            trunk_layers=self.trunk_layers,
-            prior_scale=self.prior_scale,
-            device=task.device,
-        )
-        task.reset_inactive_(network)
-        return bootstrap_actor(network, task.action_spec, action_mask_key=task.action_mask_key)
+        heads = keywords(self, task, "heads", "trunk_layers", "prior_scale")
+        network = BootstrapMLP(task.inputs, task.actions, self.hidden, **task.place, **heads)
+        return task.make_actor(network, bootstrap_actor)
 
     def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
         """The squared TD error of the heads that learn from a transition."""
         from bbq_torchrl.objectives import BootstrapDQNLoss
 
-        gamma = over_replicas(self.gamma, task)
-        return BootstrapDQNLoss(actor, gamma=gamma, double_dqn=self.double)
+        return BootstrapDQNLoss(actor, double_dqn=self.double, **keywords(self, task, "gamma"))
 
     def make_greedy(self, actor: QValueActor) -> TensorDictModuleBase:
         """The majority vote of the heads."""
@@ -303,93 +270,31 @@ class GP(AgentOption):
     """A Gaussian process for each action, fitted in closed form once a round."""
 
     name: str = option("gp")
-    features: str = setting(
-        "states",
-        one_of("states", "trunk"),
-        "a kernel of states, or the last hidden layer of a Q-network that learns as DQN does",
-    )
-    inducing: int = setting(512, integers(1, 10_000), "inducing states, for features=states")
-    kernel: str = setting(
-        "arccos",
-        one_of("arccos", "rbf"),
-        "kernel of features=states: of the angle, or the distance",
-    )
-    lengthscale: float = setting(
-        1.0, POSITIVE, "length of kernel=rbf, in units of the median distance of inducing states"
-    )
-    value_std: float = setting(
-        6.0, POSITIVE, "std of the value that all actions share, for features=states"
-    )
-    prior_std: float | None = setting(
-        None,
-        optional(POSITIVE, "2 for states, 0.1 for a trunk"),
-        "std of the prior of an action's weights",
-    )
-    noise_std: float | None = setting(
-        None,
-        optional(POSITIVE, "3 for states, 1 for a trunk"),
-        "std of the noise on the target, in units of Q",
-    )
-    sweeps: int | None = setting(
-        None,
-        optional(SIZE, "8 for states, 1 for a trunk"),
-        "regressions a round, each on new targets",
-    )
-    target: str = setting(
-        "mean",
-        one_of("mean", "draw"),
-        "values of the next states: the posterior's mean, or one draw of it in all sweeps",
-    )
+    inducing: int = setting(512, integers(1, 10_000), "inducing states of the kernel's features")
+    prior_std: float = setting(2.0, POSITIVE, "std of the prior of an action's weights")
+    value_std: float = setting(6.0, POSITIVE, "std of the value that all actions share")
+    noise_std: float = setting(3.0, POSITIVE, "std of the noise on the target, in units of Q")
+    sweeps: int = setting(8, SIZE, "regressions a round, each on new targets")
 
     provides: ClassVar[tuple[str, ...]] = ("posterior", "values")
     explores_by: ClassVar[str] = "thompson"
     modes: ClassVar[tuple[str, ...]] = EVALUATION_MODES
 
-    def check(self) -> None:
-        """Refuses settings of a kernel for a trunk."""
-        if self.features == "trunk":
-            keys = ("inducing", "kernel", "lengthscale", "value_std")
-            self.refuse_changes(keys, "agent.features=trunk", "which has no kernel")
-
     def make_actor(self, task: Task) -> QValueActor:
-        """Gaussian processes on Nyström features, or on a trunk."""
-        from bbq_torchrl.networks import GaussianProcess, q_actor
-        from bbq_torchrl.networks.gaussian_process import StateFeatures, TrunkFeatures
+        """Gaussian processes on Nyström features of the states."""
+        from bbq_torchrl.networks import GaussianProcess
+        from bbq_torchrl.networks.gaussian_process import StateFeatures
 
-        of_states = self.features == "states"
-        features: StateFeatures | TrunkFeatures
-        if of_states:
-            features = StateFeatures(
-                task.inputs,
-                self.inducing,
-                kernel=self.kernel,  # type: ignore[arg-type]
-                lengthscale=self.lengthscale,
-                replicas=task.replicas,
-                device=task.device,
-            )
-        else:
-            features = TrunkFeatures(
-                task.inputs, self.hidden, replicas=task.replicas, device=task.device
-            )
-        prior_std = (2.0 if of_states else 0.1) if self.prior_std is None else self.prior_std
-        network = GaussianProcess(features, task.actions, prior_std=prior_std, device=task.device)
-        task.reset_inactive_(network)
-        return q_actor(network, task.action_spec, action_mask_key=task.action_mask_key)
+        features = StateFeatures(task.inputs, self.inducing, **task.place)
+        return task.make_actor(
+            GaussianProcess(features, task.actions, prior_std=self.prior_std, device=task.device)
+        )
 
     def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
-        """The fit, and the squared TD error of a trunk."""
+        """The fit."""
         from bbq_torchrl.objectives import GPLoss
 
-        of_states = self.features == "states"
-        noise_std = (3.0 if of_states else 1.0) if self.noise_std is None else self.noise_std
-        return GPLoss(
-            actor,
-            noise_std=noise_std,
-            value_std=self.value_std,
-            sweeps=self.sweeps or (8 if of_states else 1),
-            target=self.target,  # type: ignore[arg-type]
-            gamma=over_replicas(self.gamma, task),
-        )
+        return GPLoss(actor, **keywords(self, task, "noise_std", "value_std", "sweeps", "gamma"))
 
     def make_evaluation(
         self, actor: QValueActor, mode: str | None = None
@@ -397,8 +302,8 @@ class GP(AgentOption):
         """The mode and its policy, one of :data:`EVALUATION_MODES`."""
         from bbq_torchrl.exploration import EvaluationPolicy
 
-        name = mode or "mean"
-        return name, EvaluationPolicy(actor, mode=name)  # type: ignore[arg-type]
+        name: Any = mode or "mean"
+        return name, EvaluationPolicy(actor, mode=name)
 
 
 @register
@@ -407,11 +312,7 @@ class DQN(AgentOption):
     """Deep Q-network, with or without dropout."""
 
     name: str = option("dqn")
-    dropout: float = setting(
-        0.0,
-        BELOW_ONE,
-        "probability of dropping a hidden unit in the prediction",
-    )
+    dropout: float = setting(0.0, BELOW_ONE, "dropout of hidden units in the prediction")
     weight_decay: float = setting(0.0, NON_NEGATIVE, "decoupled weight decay, as in AdamW")
     double: bool = setting(False, BOOLEAN, "choose the target's action by the online network")
     noisy: bool = setting(False, BOOLEAN, "NoisyNet layers instead of dropout")
@@ -421,31 +322,23 @@ class DQN(AgentOption):
     def check(self) -> None:
         """Refuses noise together with dropout."""
         if self.noisy and self.dropout:
-            raise ConfigError(
-                "agent.noisy=true cannot be combined with agent.dropout="
-                f"{self.dropout}: the noise takes its place, so agent.dropout must be 0"
-            )
+            raise ConfigError(f"agent.dropout must be 0 with agent.noisy=true, got {self.dropout}")
 
     def make_actor(self, task: Task) -> QValueActor:
         """A ReLU network, with noisy layers if chosen."""
-        from bbq_torchrl.networks import FlatMLP, NoisyMLP, q_actor
+        from bbq_torchrl.networks import FlatMLP, NoisyMLP
 
-        sizes = (task.inputs, task.actions, self.hidden)
-        network: FlatMLP | NoisyMLP
+        network: nn.Module
         if self.noisy:
-            network = NoisyMLP(*sizes, replicas=task.replicas, device=task.device)
+            network = NoisyMLP(task.inputs, task.actions, self.hidden, **task.place)
         else:
-            network = FlatMLP(
-                *sizes, replicas=task.replicas, dropout=self.dropout, device=task.device
-            )
-        task.reset_inactive_(network)
-        return q_actor(network, task.action_spec, action_mask_key=task.action_mask_key)
+            place = {"dropout": self.dropout, **task.place}
+            network = FlatMLP(task.inputs, task.actions, self.hidden, **place)
+        return task.make_actor(network)
 
     def make_loss(self, actor: QValueActor, task: Task) -> LossModule:
         """The squared TD error, with dropout or noise in the prediction."""
         from bbq_torchrl.objectives import DropoutDQNLoss, NoisyDQNLoss
 
-        gamma = over_replicas(self.gamma, task)
-        if self.noisy:
-            return NoisyDQNLoss(actor, gamma=gamma, double_dqn=self.double)
-        return DropoutDQNLoss(actor, gamma=gamma, double_dqn=self.double)
+        loss: Any = NoisyDQNLoss if self.noisy else DropoutDQNLoss
+        return loss(actor, double_dqn=self.double, **keywords(self, task, "gamma"))

@@ -154,23 +154,12 @@ class FullDomain(EnvOption):
     has_domain: ClassVar[bool] = True
 
     def check(self) -> None:
-        """Refuses invalid users, and error keys that would have no effect."""
-        profiles = self._profiles()
-        is_text = self.level == "text"
-        if is_text:
-            self.refuse_changes(["errors"], "env.level=text", "whose errors are those of sentences")
-        else:
-            why = "which has no sentences to ask about"
-            self.refuse_changes(["ask_below"], "env.level=act", why)
-            if self.errors == "drawn":
-                return
-        source = "env.level=text" if is_text else "env.errors=measured"
-        if any(kind.slot_error_prob for kind in profiles):
+        """Refuses invalid users, and error rates of users whose errors have another source."""
+        has_rates = any(kind.slot_error_prob for kind in self._profiles())
+        if has_rates and (self.level == "text" or self.errors == "measured"):
             raise ConfigError(
-                f"env.users must have no slot_error_prob with {source}, which has other errors"
+                "env.users must have no slot_error_prob with env.level=text or env.errors=measured"
             )
-        keys = ("slot_error_prob", "slot_error_mode", "intent_error_prob")
-        self.refuse_changes(keys, source, "which has other errors")
 
     def _profiles(self, domain: Domain | None = None) -> tuple[Profile, ...]:
         """Returns the profiles of the users; none for a mix by name.

@@ -8,6 +8,7 @@ from typing import ClassVar
 from bbq_torchrl.options.registry import Option, register
 from bbq_torchrl.settings import (
     BATCH,
+    BELOW_ONE,
     COUNT,
     NON_NEGATIVE_INTEGER,
     PROBABILITY,
@@ -33,29 +34,21 @@ class ProtocolOption(Option):
     rounds: int = setting("${env.paper_rounds}", COUNT, "rounds of training")
     dialogues: int = setting(50, BATCH, "dialogues of a round and replica")
     batch_size: int = setting(32, BATCH, "transitions of an update")
-    lr: float = setting(1e-3, STEP_SIZE, "learning rate of Adam, for batches of this size")
-    lr_final: float = setting(
-        1.0, PROBABILITY, "factor on learning rates in the last round; 1: they stay constant"
-    )
+    lr: float = setting(1e-3, STEP_SIZE, "learning rate of Adam")
+    lr_final: float = setting(1.0, PROBABILITY, "factor on learning rates in the last round")
     lr_decay_from: float = setting(
-        0.5, PROBABILITY, "share of the rounds after which learning rates fall linearly to lr_final"
+        0.5, BELOW_ONE, "share of the rounds after which learning rates fall linearly to lr_final"
     )
     freezes: int = setting(2, COUNT, "target freezes of a round")
     epochs: int = setting(2, COUNT, "passes over the buffer after each freeze")
     updates_per_round: int | None = setting(
-        None,
-        optional(COUNT, "as many as the epochs have"),
-        "updates of every round and replica, instead of epochs",
+        None, optional(COUNT, "by the epochs"), "updates of a round and replica, instead of epochs"
     )
     capacity: int = setting(10_000, STORED, "capacity of a replica's buffer in transitions")
     eval_dialogues: int = setting(10_000, STORED, "dialogues of a replica's final evaluation")
     eval_batch: int = setting(2_500, BATCH, "parallel evaluation dialogues of all replicas")
-    eval_every: int = setting(
-        5, NON_NEGATIVE_INTEGER, "rounds between two evaluations during training; 0: never"
-    )
-    eval_every_dialogues: int = setting(
-        400, STORED, "dialogues of a replica in an evaluation during training"
-    )
+    eval_every: int = setting(5, NON_NEGATIVE_INTEGER, "rounds between evaluations; 0: never")
+    eval_every_dialogues: int = setting(400, STORED, "dialogues of a replica in such evaluations")
     checkpoint_every: int = setting(10, COUNT, "rounds between two checkpoints")
     keep_checkpoints: str = setting(
         "weights",
@@ -89,21 +82,10 @@ class ProtocolOption(Option):
                 f"protocol.capacity must be at least protocol.batch_size ({self.batch_size}), "
                 f"got {self.capacity}"
             )
-        if self.updates_per_round is not None:
-            given = f"protocol.updates_per_round={self.updates_per_round}"
-            self.refuse_changes(["epochs"], given, "which takes its place")
-            if self.updates_per_round < self.freezes:
-                raise ConfigError(
-                    f"protocol.updates_per_round must be at least protocol.freezes "
-                    f"({self.freezes}), got {self.updates_per_round}"
-                )
-        if self.lr_final == 1:
-            given = f"protocol.lr_final={self.lr_final}"
-            self.refuse_changes(["lr_decay_from"], given, "which keeps learning rates constant")
-        elif self.lr_decay_from == 1:
+        if self.updates_per_round is not None and self.updates_per_round < self.freezes:
             raise ConfigError(
-                f"protocol.lr_decay_from must be below 1 with protocol.lr_final={self.lr_final}: "
-                "no round would be left in which learning rates fall"
+                f"protocol.updates_per_round must be at least protocol.freezes ({self.freezes}), "
+                f"got {self.updates_per_round}"
             )
 
 

@@ -9,18 +9,19 @@ import importlib
 import os
 import sys
 from abc import ABC
+from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from importlib.metadata import entry_points
 from os.path import expanduser
 from pathlib import Path
-from typing import TYPE_CHECKING, ClassVar, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
 
-from bbq_torchrl.settings import REQUIRED, Allowed, ConfigError
+from bbq_torchrl.settings import REQUIRED, ConfigError
 from bbq_torchrl.utils.files import read_yaml
-from bbq_torchrl.utils.text import as_typed, sentence, shown
+from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterator, Mapping
 
 
 ENTRY_POINTS = "bbq_torchrl.options"
@@ -62,26 +63,6 @@ class Option(ABC):
             ConfigError: one sentence that names the key, its value and what is allowed.
         """
 
-    def refuse_changes(self, keys: Iterable[str], setting: str, reason: str) -> None:
-        """Refuses other values than the default of keys that a setting deprives of effect.
-
-        Args:
-            keys: the keys.
-            setting: the setting, such as ``spike.dialogues=0``.
-            reason: the reason in the message, such as ``which spikes nothing``.
-
-        Raises:
-            ConfigError: a key has another value.
-        """
-        for key in keys:
-            value, default = getattr(self, key), getattr(type(self), key)
-            if value != default:
-                got = shown(value) if isinstance(value, str) else as_typed(value)
-                raise ConfigError(
-                    f"{self.group}.{key} must be {as_typed(default)} with {setting}, {reason}, "
-                    f"got {got}"
-                )
-
 
 _OPTIONS: dict[str, dict[str, type[Option]]] = {group: {} for group in GROUPS}
 _loaded: set[str] = set()
@@ -98,26 +79,25 @@ def register(option: Registered) -> Registered:
     the field ``name`` is the name.
 
     Raises:
-        TypeError: the class is not a dataclass of a group, lacks a required method, has a field
-            that is not declared by :func:`~bbq_torchrl.settings.setting`, or has the name
-            of another option.
+        TypeError: the class is not a dataclass of a group, has a field that is not declared by
+            :func:`~bbq_torchrl.settings.setting` or
+            :func:`~bbq_torchrl.settings.option`, or has the name of another option.
     """
-    group, name = _group(option), _name(option)
-    for item in fields(option):
-        if not isinstance(item.metadata.get("allowed"), Allowed):
-            raise TypeError(
-                f"{option.__qualname__}.{item.name} must be declared by setting(default, allowed, "
-                f"meaning), got {item.default!r}"
-            )
-    if option.__abstractmethods__:
+    group = getattr(option, "group", None)
+    # is_dataclass also accepts a base class's
+    if "__dataclass_fields__" not in vars(option) or group not in GROUPS:
         raise TypeError(
-            f"{option.__qualname__} must have the methods that {group}= requires; it lacks "
-            f"{', '.join(sorted(option.__abstractmethods__))}"
+            "an option must be a dataclass, with @register above @dataclass, that extends the "
+            f"option of a group, such as ExploreOption, got {option!r}"
         )
-    other = _OPTIONS[group].get(name)
+    for item in fields(option):
+        if "allowed" not in item.metadata:
+            call = "option(name)" if item.name == "name" else "setting(default, allowed, meaning)"
+            raise TypeError(f"{_where(option)}.{item.name} must be declared by {call}")
+    other = _OPTIONS[group].get(option.name)
     if other is not None and _where(other) != _where(option):
-        raise TypeError(f"{group}={name} is registered already, by {_where(other)}")
-    _OPTIONS[group][name] = option
+        raise TypeError(f"{group}={option.name} is registered already, by {_where(other)}")
+    _OPTIONS[group][option.name] = option
     return option
 
 
@@ -132,17 +112,22 @@ def schemas() -> Mapping[str, Mapping[str, type[Option]]]:
             importlib.import_module(f"{__package__}.{group}")
             _OPTIONS[group] = dict(sorted(_OPTIONS[group].items()))
         for point in entry_points(group=ENTRY_POINTS):
-            try:
+            with _importing(f"the options of {point.name} ({point.value})"):
                 point.load()
-            except Exception as error:
-                raise ConfigError(
-                    f"the options of {point.name} ({point.value}) cannot be imported: {error}"
-                ) from error
         _loaded.add(ENTRY_POINTS)
         folder = options_folder()
         if folder is not None:
             load_folder(folder)
     return _OPTIONS
+
+
+@contextmanager
+def _importing(what: object) -> Iterator[None]:
+    """Turns any error of somebody's module into a sentence."""
+    try:
+        yield
+    except Exception as error:
+        raise ConfigError(f"{what} cannot be imported: {error}") from error
 
 
 def load_folder(folder: Path | str, given_by: str = "--config-dir") -> None:
@@ -155,8 +140,8 @@ def load_folder(folder: Path | str, given_by: str = "--config-dir") -> None:
         given_by: the argument with the folder, for messages.
 
     Raises:
-        ConfigError: the folder is missing, a file cannot be imported or read, or it has the name
-            of an option or file of ours.
+        ConfigError: the folder is missing, a file cannot be imported or read, or a file has the
+            name of another module.
     """
     given, folder = str(folder), Path(expanduser(folder)).resolve()
     if not folder.is_dir():
@@ -165,22 +150,15 @@ def load_folder(folder: Path | str, given_by: str = "--config-dir") -> None:
     if str(folder) not in sys.path:
         sys.path.insert(0, str(folder))
     for file in sorted(folder.glob("*.py")):
-        try:
+        with _importing(file):
             module = importlib.import_module(file.stem)
-        except Exception as error:
-            raise ConfigError(f"{file} cannot be imported: {error}") from error
         if module.__file__ is None or Path(module.__file__).resolve() != file:
             raise ConfigError(
                 f"{file} must have a name that no other module has, got {file.stem}, which is "
                 f"{module.__file__}"
             )
-    ours = conf_folder()
-    for group in sorted({*GROUPS, *(place.name for place in ours.iterdir() if place.is_dir())}):
+    for group in sorted(place.name for place in conf_folder().iterdir() if place.is_dir()):
         for file in sorted((folder / group).rglob("*.yaml")):
-            name = file.relative_to(folder / group).with_suffix("").as_posix()
-            # Hydra would silently use ours, or fail to merge the two.
-            if name in _OPTIONS.get(group, ()) or (ours / group / f"{name}.yaml").is_file():
-                raise ConfigError(f"{file} must have another name: {group}={name} exists already")
             try:
                 read_yaml(file.read_text(encoding="utf-8"))  # Hydra would print a traceback
             except (OSError, ValueError) as error:
@@ -228,49 +206,18 @@ def explorations() -> dict[str, tuple[str, ...]]:
     """Returns the strategies that each agent can use, its default first.
 
     An agent can use a strategy if it provides everything that the strategy requires.
-
-    Raises:
-        ConfigError: an agent cannot use its default strategy.
     """
-    known = schemas()
+    known: Any = schemas()
     found = {}
     for name, agent in known["agent"].items():
-        default = agent.explores_by  # type: ignore[attr-defined]
         able = [
             other
             for other, explore in known["explore"].items()
-            if set(explore.requires) <= set(agent.provides)  # type: ignore[attr-defined]
+            if set(explore.requires) <= set(agent.provides)
         ]
-        if default not in able:
-            raise ConfigError(
-                f"{_where(agent)}.explores_by must be one of {', '.join(able)}, which require only "
-                f"what the agent provides, got {default!r}"
-            )
-        found[name] = (default, *(other for other in able if other != default))
+        able.sort(key=lambda other: other != agent.explores_by)
+        found[name] = tuple(able)
     return found
-
-
-def _group(option: type[Option]) -> str:
-    if "__dataclass_fields__" not in vars(option):  # is_dataclass also accepts a base class's
-        raise TypeError(
-            f"an option must be a dataclass, with @register above @dataclass, got {option!r}"
-        )
-    group = getattr(option, "group", None)
-    if group not in GROUPS:
-        raise TypeError(
-            f"{option.__qualname__} must extend the option of a group, such as ExploreOption"
-        )
-    return group
-
-
-def _name(option: type[Option]) -> str:
-    item = next(item for item in fields(option) if item.name == "name")
-    name = item.default
-    is_name = isinstance(name, str) and name.isidentifier()
-    if not is_name or "allowed" not in item.metadata:
-        call = f"option({name!r})" if is_name else "option('<name>')"
-        raise TypeError(f"{option.__qualname__}.name must be {call}, got {name!r}")
-    return str(name)
 
 
 def _where(option: type[Option]) -> str:

@@ -8,23 +8,12 @@ Options of other packages add such checks in the same way::
 
 from __future__ import annotations
 
-import inspect
-import math
-import warnings
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
-from bbq_torchrl.options.agent import (
-    BBQN,
-    DQN,
-    GP,
-    AgentOption,
-)
+from bbq_torchrl.options.agent import BBQN, DQN, GP, AgentOption
 from bbq_torchrl.options.domain import DomainOption  # noqa: TC001
-from bbq_torchrl.options.env import (
-    EnvOption,
-    FullDomain,
-)
+from bbq_torchrl.options.env import EnvOption, FullDomain
 from bbq_torchrl.options.explore import ExploreOption  # noqa: TC001
 from bbq_torchrl.options.intrinsic import IntrinsicOption  # noqa: TC001
 from bbq_torchrl.options.logger import LoggerOption  # noqa: TC001
@@ -49,6 +38,9 @@ from bbq_torchrl.settings import (
     optional,
     setting,
 )
+
+if TYPE_CHECKING:
+    from collections.abc import Callable
 
 PLAYED = integers(1, 10**7)
 DEVICE = Allowed(
@@ -128,19 +120,10 @@ class CalibrateConfig:
     threads: int = setting(1, THREADS, "CPU threads of torch")
 
 
-Agreement = Callable[[Config], None]
-
-_AGREEMENTS: dict[str, Agreement] = {}
-
-FIXED_ROWS = 200
-"""The fixed cost of an update, or of a step of parallel dialogues, in rows.
-
-With it the time per row, measured on a CPU core for BBQN and DQN, batches of 32 and 128, 50 to
-1,000 dialogues, one and five replicas, is within a factor of two of its mean.
-"""
+_AGREEMENTS: dict[str, Callable[[Config], None]] = {}
 
 
-def agreement(check: Agreement) -> Agreement:
+def agreement(check: Callable[[Config], None]) -> Callable[[Config], None]:
     """Registers a check of a training's configuration; a decorator.
 
     The check raises :class:`~bbq_torchrl.settings.ConfigError` for invalid combinations.
@@ -160,93 +143,56 @@ def validate(config: Config | EvaluateConfig | CalibrateConfig) -> None:
         check_values(config.env, "env.")
         check_values(config.protocol, "protocol.")
     check_values(config)
-    if not isinstance(config, Config):
-        return
-    _check_pair(config)
-    _check_lists(config)
-    for item in fields(config):
-        part = getattr(config, item.name)
-        if isinstance(part, Option):
-            _check_alone(part, config)
-    for check in _AGREEMENTS.values():
-        check(config)
+    if isinstance(config, Config):
+        for part in vars(config).values():
+            if isinstance(part, Option):
+                part.check()
+        for check in _AGREEMENTS.values():
+            check(config)
 
 
-def _check_alone(part: Option, config: Config) -> None:
-    """Calls an option's ``check``, which in its old form takes the configuration."""
-    if inspect.signature(part.check).parameters:
-        warnings.warn(
-            f"{type(part).__qualname__}.check(config) will have no argument: what two options "
-            "must agree on is a function with @bbq_torchrl.options.agreement",
-            DeprecationWarning,
-            stacklevel=2,
-        )
-        part.check(config)  # type: ignore[call-arg]
-    else:
-        part.check()
-
-
+@agreement
 def _check_pair(config: Config) -> None:
+    """Refuses a strategy that requires what the agent does not provide."""
     agent, explore = config.agent.name, config.explore.name
     allowed = explorations()[agent]
     if explore not in allowed:
         raise ConfigError(
-            f"agent={agent} cannot be combined with explore={explore}: "
-            f"explore must be one of {', '.join(allowed)}"
+            f"explore must be one of {', '.join(allowed)} with agent={agent}, got {explore}"
         )
 
 
+@agreement
 def _check_lists(config: Config) -> None:
-    """Checks that the replicas can share the values of each list."""
+    """Refuses lists whose values the replicas cannot share."""
     for key, value in lists(config):
         if config.replicas % len(value):
             raise ConfigError(
-                f"{key} must be one value or a list of {config.replicas} (one for each of the "
-                f"replicas) or of a number that divides {config.replicas}, got {len(value)}: "
-                f"{value}"
+                f"{key} must be one value or a list of a number that divides the "
+                f"{config.replicas} replicas, got {len(value)}: {value}"
             )
 
 
 @agreement
-def _check_noise(config: Config) -> None:
-    """Refuses a strategy that needs noise for a network without noise."""
-    agent, explore = config.agent, config.explore
-    if isinstance(agent, DQN) and "noise" in explore.requires and not agent.noisy:
-        raise ConfigError(
-            f"explore={explore.name} needs a network with noise: agent.noisy must be true"
-        )
-
-
-@agreement
-def _check_inducing(config: Config) -> None:
-    """Refuses more inducing states than transitions to choose them from."""
+def _check_agent(config: Config) -> None:
+    """Refuses settings of other groups that the agent cannot learn with."""
     agent, capacity = config.agent, config.protocol.capacity
-    if isinstance(agent, GP) and agent.features == "states" and agent.inducing > capacity:
+    if isinstance(agent, DQN) and "noise" in config.explore.requires and not agent.noisy:
+        raise ConfigError(f"agent.noisy must be true with explore={config.explore.name}, got false")
+    if isinstance(agent, GP) and agent.inducing > capacity:
         raise ConfigError(
             f"agent.inducing must be at most protocol.capacity ({capacity}), the transitions to "
             f"choose them from, got {agent.inducing}"
         )
-
-
-@agreement
-def _check_imitation(config: Config) -> None:
-    """Refuses imitation by an agent that learns nothing by gradient."""
-    agent, margin = config.agent, config.spike.margin
-    if isinstance(agent, GP) and agent.features == "states" and margin:
+    if isinstance(agent, GP) and config.spike.margin:
         raise ConfigError(
-            f"spike.margin must be 0 with agent.features=states, which learns no margin, got "
-            f"{margin:g}"
+            f"spike.margin must be 0 with agent=gp, which learns no margin, got "
+            f"{config.spike.margin:g}"
         )
-
-
-@agreement
-def _check_kl(config: Config) -> None:
-    """Refuses a sampled KL with domain extension."""
-    if config.env.extends and isinstance(config.agent, BBQN) and config.agent.kl == "sampled":
+    if isinstance(agent, BBQN) and agent.kl == "sampled" and config.env.extends:
         raise ConfigError(
-            f"env={config.env.name} cannot be combined with agent.kl=sampled: the sampled "
-            "estimate moves the weights of slots that are not yet active, so agent.kl must be "
-            "closed"
+            f"agent.kl must be closed with env={config.env.name}, got 'sampled', which moves the "
+            "weights of slots that are not yet active"
         )
 
 
@@ -258,39 +204,3 @@ def _check_level(config: Config) -> None:
             "env.level must be act in training, got 'text': sentences are too slow for it; "
             "env.errors=measured has the errors counted in sentences"
         )
-
-
-@agreement
-def _check_evaluation(config: Config) -> None:
-    """Refuses evaluations that would take longer than the rounds between them.
-
-    Both sides are counted, not timed: every step of parallel dialogues and every update counts 200
-    plus its rows (dialogues or transitions of all replicas). Dialogues count with their maximal
-    length, and the buffer as full as it gets.
-
-    Raises:
-        ConfigError: with both counts and the allowed values.
-    """
-    protocol, replicas = config.protocol, config.replicas
-    if not protocol.eval_every or protocol.eval_every > protocol.rounds:
-        return
-    turns = config.env.steps()
-    dialogues = protocol.eval_every_dialogues
-    parallel = protocol.parallel_dialogues(dialogues, replicas)
-    evaluation = math.ceil(dialogues / parallel) * turns * (FIXED_ROWS + replicas * parallel)
-    stored = (config.spike.dialogues + protocol.rounds * protocol.dialogues) * turns
-    updates = protocol.updates_per_round
-    if updates is None:
-        batches = math.ceil(min(protocol.capacity, stored) / protocol.batch_size)
-        updates = protocol.freezes * protocol.epochs * batches
-    a_round = turns * (FIXED_ROWS + replicas * protocol.dialogues)
-    a_round += updates * (FIXED_ROWS + replicas * protocol.batch_size)
-    if evaluation <= protocol.eval_every * a_round:
-        return
-    raise ConfigError(
-        f"protocol.eval_every must be 0 or at least {math.ceil(evaluation / a_round)} with "
-        f"protocol.eval_every_dialogues={dialogues}, got {protocol.eval_every}: an evaluation "
-        f"would take longer than the training between two ({evaluation:,} against "
-        f"{protocol.eval_every * a_round:,}, where a step or an update counts {FIXED_ROWS} and its "
-        "rows)"
-    )

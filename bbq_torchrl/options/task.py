@@ -9,12 +9,13 @@ from typing import TYPE_CHECKING, Any, Protocol
 from bbq_torchrl.settings import ConfigError, Values, walk
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     import torch
-    from torch import Tensor
+    from torch import Tensor, nn
     from torchrl.data import TensorSpec
     from torchrl.envs import EnvBase
+    from torchrl.modules import QValueActor
 
     from bbq_torchrl.options.registry import Option
 
@@ -49,6 +50,26 @@ class Task:
         """The number of actions."""
         return int(self.action_spec.n)
 
+    @property
+    def place(self) -> dict[str, Any]:
+        """``replicas`` and ``device``, as keywords of a network."""
+        return {"replicas": self.replicas, "device": self.device}
+
+    def make_actor(
+        self, network: nn.Module, make: Callable[..., QValueActor] | None = None
+    ) -> QValueActor:
+        """Returns a Q-network with its choice of an action; resets its inactive weights.
+
+        Args:
+            network: values of the actions by observation, for each replica.
+            make: the function that makes the actor; by default
+                :func:`~bbq_torchrl.networks.q_actor`.
+        """
+        from bbq_torchrl.networks import q_actor
+
+        self.reset_inactive_(network)
+        return (make or q_actor)(network, self.action_spec, action_mask_key=self.action_mask_key)
+
     def reset_inactive_(self, network: Any) -> None:
         """Initializes the weights of inactive inputs and actions as if they were added later.
 
@@ -80,24 +101,19 @@ def check_env(env: EnvBase, option: str, batch_size: Sequence[int]) -> None:
     import torch
     from torchrl.data import Categorical, OneHot
 
-    batch, makes = torch.Size(batch_size), f"env={option} must make an environment"
-    found = getattr(env, "batch_size", None)
-    if found != batch:
-        got = type(env).__name__ if found is None else str(list(found))
-        raise ConfigError(f"{makes} of batch size {list(batch)}, got {got}")
-    rows = ", ".join(map(str, batch))
-
-    def refusal(name: str, spec: TensorSpec | None, wanted: str) -> ConfigError:
-        got = "none" if spec is None else f"{type(spec).__name__} {list(spec.shape)}"
-        return ConfigError(f"{makes} whose specs have {name}, {wanted}, got {got}")
-
-    spec = env.observation_spec.get("observation", None)
-    if spec is None or not spec.dtype.is_floating_point or spec.shape[:-1] != batch:
-        raise refusal("observation", spec, f"floats [{rows}, features]")
-    spec = env.full_action_spec.get("action", None)
-    is_index = isinstance(spec, Categorical) and spec.shape == batch
-    if not is_index and not (isinstance(spec, OneHot) and spec.shape[:-1] == batch):
-        raise refusal("action", spec, f"Categorical [{rows}] or OneHot [{rows}, actions]")
+    batch = torch.Size(batch_size)
+    state = action = None
+    if getattr(env, "batch_size", None) == batch:
+        state = env.observation_spec.get("observation", None)
+        action = env.full_action_spec.get("action", None)
+    has_state = state is not None and state.dtype.is_floating_point and state.shape[:-1] == batch
+    is_index = isinstance(action, Categorical) and action.shape == batch
+    if not has_state or not (is_index or isinstance(action, OneHot)):
+        rows = ", ".join(map(str, batch))
+        raise ConfigError(
+            f"env={option} must make an environment of batch size [{rows}] whose specs have "
+            f"observation, floats [{rows}, features], and action, Categorical or OneHot, got {env}"
+        )
 
 
 class Replicated(Protocol):
@@ -152,12 +168,28 @@ def check_falls(option: Option, first: str, last: str) -> None:
 
 
 def over_replicas(value: Values, task: Task) -> float | Tensor:
-    """Returns a number as a float, and a list as a float64 tensor [replicas]."""
+    """Returns a list as a float64 tensor [replicas], an integer as a float, others unchanged."""
     if isinstance(value, list):
         import torch
 
         return torch.tensor(spread(value, task.replicas), dtype=torch.float64)
-    return float(value)
+    return float(value) if isinstance(value, int) else value
+
+
+def keywords(option: Option, task: Task, *names: str) -> dict[str, Any]:
+    """Returns keys of an option as keywords of a part, lists as tensors [replicas].
+
+    Args:
+        option: the option.
+        task: the task, for the number of replicas.
+        names: keys that are arguments of the part, too.
+    """
+    lists_too = {item.name for item in fields(option) if item.metadata["allowed"].per_replica}
+    values = {name: getattr(option, name) for name in names}
+    return {
+        name: over_replicas(value, task) if name in lists_too else value
+        for name, value in values.items()
+    }
 
 
 def replica_column(value: Values, task: Task) -> float | Tensor:

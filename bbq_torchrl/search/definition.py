@@ -193,7 +193,8 @@ def _read(file: Path) -> tuple[DictConfig, dict[str, str]]:
     given = OmegaConf.load(file)
     if not isinstance(given, DictConfig) or not OmegaConf.is_dict(given.get("space")):
         raise ConfigError(f"{file} must have the key space, a mapping of keys to their values")
-    fixed = given.pop("fixed", None) or []
+    # unresolved: they may refer to keys of a trial
+    fixed: Any = OmegaConf.to_container(given.pop("fixed", None) or OmegaConf.create([]))
     space = OmegaConf.create()
     for key, entry in given.space.items():
         OmegaConf.update(space, str(key), entry)

@@ -6,7 +6,7 @@ import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from statistics import fmean
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 from tensordict import NestedKey, TensorDictBase
@@ -16,8 +16,6 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from bbq_torchrl.trainers.errors import SpikeError, TrainingError
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
     from torchrl.envs import EnvBase
 
     from bbq_torchrl.data import ReplicaReplay
@@ -200,18 +198,11 @@ class Spike:
         policy: a policy that writes an action.
         dialogues: the number of its dialogues in each replica's buffer.
         protect: whether their transitions are never evicted. Defaults to True.
-        drop_above: a success rate. Once a replica's mean over the last ``drop_window`` rounds is
-            above it, its protected transitions are dropped for good. (The paper leaves this
-            heuristic to future work and gives no number.) Defaults to None: never.
-        drop_window: the number of rounds in the mean. One round of 50 dialogues has a standard
-            error of up to 0.07, five rounds of 0.03. Defaults to 5.
     """
 
     policy: Policy
     dialogues: int
     protect: bool = True
-    drop_above: float | None = None
-    drop_window: int = 5
 
     def fill(self, replay: ReplicaReplay, env: EnvBase, *, max_steps: int) -> None:
         """Plays and stores the dialogues of each replica, and protects them if so set.
@@ -247,24 +238,3 @@ class Spike:
                 self.dialogues,
                 ", ".join(without),
             )
-
-    def drop_outgrown(
-        self,
-        replay: ReplicaReplay,
-        rows: Sequence[Mapping[str, Any]],
-        success_rates: Sequence[float],
-    ) -> None:
-        """Drops a replica's spiked transitions once its success rate is high enough.
-
-        Args:
-            replay: the buffers.
-            rows: the metrics of all earlier rounds, replica after replica.
-            success_rates: the success rate of each replica in this round.
-        """
-        if self.drop_above is None:
-            return
-        for replica, rate in enumerate(success_rates):
-            rates = [*(past["success_rate"] for past in rows[replica :: replay.replicas]), rate]
-            last = rates[-self.drop_window :]
-            if len(last) == self.drop_window and fmean(last) > self.drop_above:
-                replay.drop_protected(replica)

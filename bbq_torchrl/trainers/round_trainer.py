@@ -228,10 +228,6 @@ class RoundTrainer:
             for name, read in self.round_metrics.items()
         }
         collected = self._collect(round_number)
-        if self.spike is not None:
-            self.spike.drop_outgrown(
-                self.replay, self.metrics.rows, collected["success_rate"].tolist()
-            )
         collected_at = time.perf_counter()
         learned = self._learn(round_number)
         for module in modules_with(self.policy, Annealed):

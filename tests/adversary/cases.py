@@ -35,7 +35,6 @@ CONFIGURATIONS = {
     "boltzmann": (
         "agent=dqn",
         "explore=boltzmann",
-        "spike.drop_above=.01",
         "env.max_turn=40",  # so that some succeed
     ),
 }

@@ -33,11 +33,7 @@ CELLS = {
     for (agent, explore), (env, intrinsic) in zip(PAIRS, SURROUNDINGS, strict=False)
 }
 CELLS |= {
-    "GP on a trunk": ("env=domain_ext", "agent=gp", "agent.features=trunk", "intrinsic=vime"),
-    "GP with drawn targets": (
-        *("env=domain_ext", "agent=gp", "agent.inducing=8", "agent.target=draw"),
-        *("agent.kernel=rbf", "explore.per=episode"),
-    ),
+    "GP": ("env=domain_ext", "agent=gp", "agent.inducing=8", "explore.per=episode"),
     "BBQN-MC": ("env=domain_ext", "agent.target=mc"),
     "shared target noise": ("env=domain_ext", "agent.target=mc", "agent.target_noise=shared"),
     "separate networks with priors": (

@@ -64,7 +64,7 @@ def die_within_a_line(trainer: RoundTrainer, _: object) -> None:
 
 
 def build(folder: Path, rounds: int = 10) -> RoundTrainer:
-    spike = Spike(random_policy, 5, drop_above=0.6, drop_window=2)
+    spike = Spike(random_policy, 5)
     return make_trainer(folder, rounds=rounds, replicas=2, capacity=200, spike=spike)
 
 

@@ -51,23 +51,6 @@ def test_it_is_protected_by_default_and_evicted_otherwise(tmp_path, protect):
         assert before & after == (before if protect else set())
 
 
-@pytest.mark.parametrize("threshold", [0.1, 0.6])  # .1: passed as soon as there are three rounds
-def test_it_is_dropped_where_the_mean_success_passes_the_threshold(tmp_path, threshold):
-    spike = Spike(random_policy, 5, drop_above=threshold, drop_window=3)
-    trainer = make_trainer(tmp_path, rounds=12, capacity=400, spike=spike)
-    protected: list[tuple[int, ...]] = []
-    trainer.callbacks = (lambda t, rows: protected.append(t.replay.protected),)
-
-    rows = trainer.train()
-
-    for replica in range(3):
-        rates = [row["success_rate"] for row in rows[replica::3]]
-        passed = [r >= 2 and sum(rates[r - 2 : r + 1]) / 3 > threshold for r in range(12)]
-        expected = [not any(passed[: r + 1]) for r in range(12)]
-        assert [p[replica] > 0 for p in protected] == expected
-    assert 0 in protected[-1]
-
-
 def test_one_that_fills_the_capacity_is_refused(tmp_path):
     trainer = make_trainer(tmp_path, capacity=40, spike=Spike(random_policy, 80))
 
