@@ -136,10 +136,6 @@ class ReplicaReplay:
 
     def seed(self, seeds: Sequence[int]) -> None:
         """Reseeds the shuffling of each replica and drops pending permutations."""
-        if len(seeds) != self.replicas:
-            raise ValueError(
-                f"seeds must be {self.replicas}, one for each replica, got {len(seeds)}"
-            )
         for buffer, generator, seed in zip(self.buffers, self._generators, seeds, strict=True):
             # The sampler draws the next permutation as soon as one is used up. A new sampler
             # discards it, so that an epoch depends on this seed alone, not on earlier epochs.
@@ -301,45 +297,36 @@ class ReplicaReplay:
 
         The generators are not included, see :meth:`seed`.
         """
-        state: dict[str, Any] = {}
-        for replica, buffer in enumerate(self.buffers):
+        buffers = []
+        for buffer in self.buffers:
             rows: dict[str, Tensor] = {}  # by flat name, each [rows, ...]
             if len(buffer):
                 stored = buffer.storage.get(slice(0, len(buffer))).select(*self.stored_keys)
                 # cloned, as torch.save would write the whole storage of a view
                 rows = dict(stored.flatten_keys("/").clone().items())
-            state[str(replica)] = {"rows": rows, "writer": buffer.writer.state_dict()}
-        if self.transform is not None:
-            state["transform"] = dict(self.transform.state_dict())
-        return state
+            buffers.append({"rows": rows, "writer": buffer.writer.state_dict()})
+        transform = None if self.transform is None else dict(self.transform.state_dict())
+        return {"capacity": self.capacity, "buffers": buffers, "transform": transform}
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
         """Restores the state from :meth:`state_dict`, with every row at the same index.
 
         Raises:
-            ValueError: if the state has a different number of replicas, or a different capacity
-                that was filled. Nothing is changed then.
+            ValueError: if the state has another number of replicas, capacity or transform. Nothing
+                is changed then.
         """
-        replicas = sum(name.isdigit() for name in state_dict)
-        if replicas != self.replicas:
-            raise ValueError(f"the state must be of {self.replicas} replicas, got {replicas}")
-        if ("transform" in state_dict) != (self.transform is not None):
+        saved = len(state_dict["buffers"]), state_dict["capacity"]
+        if saved != (self.replicas, self.capacity):
+            raise ValueError(
+                f"the state must be of {self.replicas} replicas and capacity {self.capacity}, got "
+                f"{saved[0]} and {saved[1]}"
+            )
+        if (state_dict["transform"] is None) != (self.transform is None):
             raise ValueError("the state must be of a replay with the same transform")
-        for replica in range(self.replicas):
-            state = state_dict[str(replica)]
-            count = len(next(iter(state["rows"].values()), ()))
-            # the rows filled their buffer unless the cursor is at their end
-            is_full = state["writer"]["_cursor"] != count
-            if count > self.capacity or (is_full and count < self.capacity):
-                raise ValueError(
-                    f"the state must be of capacity {self.capacity}, got one of capacity "
-                    f"{count}{'' if is_full else ' or more'}"
-                )
         self._computed.clear()
         if self.transform is not None:
             self.transform.load_state_dict(state_dict["transform"])
-        for replica, buffer in enumerate(self.buffers):
-            state = state_dict[str(replica)]
+        for buffer, state in zip(self.buffers, state_dict["buffers"], strict=True):
             buffer.empty()
             if state["rows"]:
                 rows = TensorDict(dict(state["rows"])).auto_batch_size_(1)

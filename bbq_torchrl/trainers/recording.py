@@ -11,7 +11,6 @@ from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-import torch
 from torch import Tensor
 from tqdm import tqdm
 
@@ -84,41 +83,30 @@ class MetricsFile:
             }
             for replica in range(self.replicas)
         ]
-        names = tuple((self.rows or rows)[0])
-        if tuple(rows[0]) != names:
-            raise ValueError(f"a row must have the columns {names}, got {tuple(rows[0])}")
-        is_first = not self.rows
-        self.rows.extend(rows)
+        is_new = not self.rows or not self.path.exists()  # it may have been removed
+        if self.rows and [*rows[0]] != [*self.rows[0]]:
+            raise ValueError(f"a row must have the columns {[*self.rows[0]]}, got {[*rows[0]]}")
+        self.rows += rows
         self.path.parent.mkdir(parents=True, exist_ok=True)
-        is_new = is_first or not self.path.exists()  # it may have been removed
         with self.path.open("w" if is_new else "a", encoding="utf-8", newline="") as file:
             file.write(_csv(self.rows if is_new else rows, header=is_new))
-        logged = _logged(rows)
+        logged = {
+            f"{name}/replica_{replica}": float(column[replica])
+            for replica in range(self.replicas)
+            for name, column in values.items()
+            if not math.isnan(column[replica])
+        }
         for logger in self.loggers:
             logger.log_metrics(dict(logged), step=round_number)
         return rows
 
     def state_dict(self) -> dict[str, Any]:
-        """Returns all rows: the names of the columns, those of integer columns, and the values."""
-        first = self.rows[0] if self.rows else {}
-        return {
-            "columns": list(first),
-            "integers": [name for name, value in first.items() if isinstance(value, int)],
-            "values": torch.tensor(
-                [list(row.values()) for row in self.rows], dtype=torch.float64
-            ).reshape(len(self.rows), len(first)),
-        }
+        """Returns all rows."""
+        return {"rows": list(self.rows)}
 
     def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
         """Restores the state from :meth:`state_dict` and rewrites the file."""
-        integers = set(state_dict["integers"])
-        self.rows = [
-            {
-                name: int(value) if name in integers else value
-                for name, value in zip(state_dict["columns"], values, strict=True)
-            }
-            for values in state_dict["values"].tolist()
-        ]
+        self.rows = list(state_dict["rows"])
         self.path.parent.mkdir(parents=True, exist_ok=True)
         if self.rows:
             write_text(self.path, _csv(self.rows, header=True))
@@ -136,16 +124,6 @@ def _per_replica(name: str, value: float | Tensor | Sequence[float], replicas: i
         )
     values: list[float] = np.broadcast_to(numbers, (replicas,)).tolist()
     return values
-
-
-def _logged(rows: Sequence[MetricRow]) -> dict[str, float]:
-    """Returns the metrics of a round by the names that loggers get."""
-    return {
-        f"{name}/replica_{row['replica']}": float(value)
-        for row in rows
-        for name, value in row.items()
-        if name not in ("round", "replica") and value == value
-    }
 
 
 def _csv(rows: Sequence[MetricRow], *, header: bool) -> str:
@@ -199,7 +177,7 @@ class RoundProgress:
         means = {name: fmean(row[name] for row in rows) for name in rows[0]}
         self._pending.append(means)
         rates = [row.get("eval_success_rate", math.nan) for row in self._pending]
-        evaluated = [f"{rate:.2f}" for rate in rates if not math.isnan(rate)]
+        evaluated = [f"{rate:.2f}" for rate in rates if rate == rate]
         if self._bar.disable:
             self._log_line(*evaluated[-1:])
             return

@@ -10,7 +10,7 @@ import torch
 import torch.nn.functional as F
 from q_transitions import ACTIONS, FixedNoise, transitions
 from torch import nn
-from torch.func import functional_call, stack_module_state, vmap
+from torch.func import functional_call, vmap
 from torchrl.data import Categorical
 
 from bbq_torchrl.bayes import (
@@ -156,64 +156,6 @@ def test_a_sampled_kl_is_not_taken_for_the_closed_one():
         loss(td)
     loss, td, _ = loss_on(BayesMLP(3, ACTIONS), Gain(ACTIONS), kl="sampled")
     assert loss(td)["kl"].isfinite()
-
-
-# ------------------------------------------------------------------------- torch.func
-
-
-@pytest.mark.parametrize(
-    ("name", "mode"),
-    [*product(LAYERS, ["draw", "mean"]), ("linear", "local"), ("mlp", "local"), ("conv", "local")],
-)
-def test_vmap_over_parameters_is_a_loop(name, mode):
-    nets = [made(name)[0] for _ in range(3)]
-    x = torch.randn(3, 6, *LAYERS[name][1]).double()
-
-    def call(parameters, x):
-        return functional_call(nets[0], parameters, (x, mode))
-
-    def loop():
-        return vmap(call, randomness="different")(stack_module_state(nets)[0], x)
-
-    if mode == "mean":
-        expected = torch.stack([net(own, "mean") for net, own in zip(nets, x, strict=True)])
-        torch.testing.assert_close(loop(), expected)
-    else:
-        assert loop().isfinite().all()
-        assert not torch.equal(loop(), loop())
-
-
-@pytest.mark.parametrize("name", LAYERS)
-def test_vmap_over_noise_is_a_loop(name):
-    net, features = made(name)
-    (posterior,) = posteriors(net)
-    x, noises = torch.randn(6, *features).double(), torch.randn(4, *posterior.mu.shape).double()
-
-    def call(noise):
-        with weight_scope("draw", noise=FixedNoise(noise), kl="sampled") as scope:
-            return net(x), scope.kl.total()
-
-    expected = [torch.stack(outs) for outs in zip(*map(call, noises), strict=True)]
-    torch.testing.assert_close(list(vmap(call)(noises)), expected)
-
-
-@pytest.mark.parametrize("kind", ["closed", "sampled"])
-def test_a_vmap_draws_each_networks_weights_with_their_kl(kind):
-    nets = [made("linear")[0] for _ in range(3)]
-    stacked = stack_module_state(nets)[0]
-
-    def call(parameters):
-        with weight_scope("draw", kl=kind) as scope:
-            out = functional_call(nets[0], parameters, (torch.ones(1, 4).double(),))
-            return out, scope.kl.total()
-
-    outs, kls = vmap(call, randomness="different")(stacked)
-    again, _ = vmap(call, randomness="different")(stacked)
-    assert not torch.equal(outs, again)
-    assert outs.isfinite().all()
-    if kind == "closed":
-        torch.testing.assert_close(kls, torch.stack([net.posterior.kl() for net in nets]))
-    assert kls.isfinite().all()
 
 
 @pytest.mark.parametrize("kind", ["closed", "sampled"])

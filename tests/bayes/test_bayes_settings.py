@@ -16,16 +16,6 @@ from bbq_torchrl.bayes.replicas import checked_number
 from bbq_torchrl.settings import PROBABILITY
 
 
-@pytest.mark.parametrize("value", [1e-50, 1, 1e39, 10**20, np.float64(0.5)])
-def test_a_plain_number_stays_what_it_is_at_any_default_dtype(value):
-    before = torch.get_default_dtype()
-    torch.set_default_dtype(torch.float16)
-    try:
-        assert checked_number("std", value) is value
-    finally:
-        torch.set_default_dtype(before)
-
-
 @pytest.mark.parametrize("make", [torch.tensor, list, np.array])
 def test_values_are_one_for_each_replica(make):
     values = checked_number("std", make([0.25, 0.5]), (2,))

@@ -40,15 +40,6 @@ def test_masks_have_the_replicas_the_rows_and_the_heads(replicas, rows):
     assert mask.shape == (*replicas, *rows, 4)
 
 
-def test_masks_start_from_torchs_generator():
-    def drawn(seed):
-        torch.manual_seed(seed)
-        return masks(BootstrapMask(4), 40)
-
-    assert torch.equal(drawn(0), drawn(0))
-    assert not torch.equal(drawn(0), drawn(1))
-
-
 def test_masks_do_not_depend_on_padding_calls_or_the_other_replicas():
     """The n-th valid transition gets the n-th draw of its seed, whatever surrounds it."""
     alone = []

@@ -82,15 +82,6 @@ def test_a_dialogue_keeps_its_draw_until_the_next_one_begins(make, replicas):
     assert torch.equal(values(policy, td), second)
 
 
-@pytest.mark.parametrize("make", [thompson, shared, heads])
-def test_a_single_dialogue_keeps_its_draw_too(make):
-    policy, td = make(per="episode"), observations()
-    first = values(policy, td)
-    assert torch.equal(values(policy, td), first)
-    td["is_init"] = torch.ones(1, dtype=torch.bool)
-    assert len({float(values(policy, td)) for _ in range(10)}) > 5
-
-
 @pytest.mark.parametrize("make", [thompson, heads])
 def test_new_rows_are_new_dialogues(make):
     policy = make(per="episode")

@@ -6,20 +6,12 @@ from copy import deepcopy
 
 import pytest
 import torch
-from q_actor import ACTIONS, SPEC, bayes_actor, heads_actor, noisy_actor, observations, values
-from still_env import StillEnv
+from q_actor import ACTIONS, bayes_actor, heads_actor, noisy_actor, observations, values
 from tensordict import TensorDict
-from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from tensordict.nn import TensorDictModuleBase
 from torch import nn
-from torchrl.collectors import Collector, MultiSyncCollector
-from torchrl.data import LazyTensorStorage, TensorDictReplayBuffer
-from torchrl.envs import InitTracker, TransformedEnv
-from torchrl.objectives import HardUpdate
-from torchrl.trainers.algorithms import DQNTrainer
 
 from bbq_torchrl.exploration import (
-    BatchedEGreedy,
-    Boltzmann,
     BootstrapSampling,
     EvaluationPolicy,
     Greedy,
@@ -27,7 +19,6 @@ from bbq_torchrl.exploration import (
     NoisySampling,
     ThompsonSampling,
 )
-from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, NoisyDQNLoss
 
 POLICIES = {
     "greedy": (bayes_actor, Greedy),
@@ -45,11 +36,6 @@ POLICIES = {
         )
         for mode in ("mean", "average", "draw", "thompson")
     },
-}
-LOSSES = {bayes_actor: BBQNLoss, noisy_actor: NoisyDQNLoss, heads_actor: BootstrapDQNLoss}
-EXPLORING = {
-    "epsilon": lambda: BatchedEGreedy(SPEC, 0.5, 0.1, 100),
-    "boltzmann": lambda: Boltzmann(2.0, 0.5, 100),
 }
 made = pytest.mark.parametrize(("make", "wrap"), POLICIES.values(), ids=POLICIES)
 
@@ -137,64 +123,3 @@ def test_an_episode_under_way_keeps_its_draw_while_weights_are_learned():
     assert torch.equal(values(policy, td), first)
     td["is_init"] = ~td["is_init"]
     assert not (values(policy, td) == first).any()
-
-
-@pytest.mark.filterwarnings("ignore:DQNTrainer is an experimental")
-@pytest.mark.filterwarnings("ignore:The '.*' hook stage:FutureWarning")
-@pytest.mark.parametrize(
-    ("name", "explore"),
-    [*((name, None) for name in POLICIES), *(("greedy", explore) for explore in EXPLORING)],
-)
-def test_torchrls_dqn_trainer_sends_what_it_learns_to_the_policy(name, explore):
-    make, wrap = POLICIES[name]
-    actor = make()
-    loss = LOSSES[make](actor, action_space="categorical")
-    if hasattr(loss, "set_num_data"):
-        loss.set_num_data(100)
-    greedy = None if explore is None else EXPLORING[explore]()
-    policy = wrap(deepcopy(actor))  # as that of another device is
-    if greedy is not None:
-        policy = TensorDictSequential(policy, deepcopy(greedy))
-    before = weights(policy)
-    env = TransformedEnv(StillEnv(), InitTracker())
-    DQNTrainer(
-        collector=Collector(env, policy, frames_per_batch=20, total_frames=60),
-        total_frames=60,
-        frame_skip=1,
-        optim_steps_per_batch=2,
-        loss_module=loss,
-        optimizer=torch.optim.Adam(loss.parameters(), lr=1e-2),
-        replay_buffer=TensorDictReplayBuffer(storage=LazyTensorStorage(100), batch_size=16),
-        target_net_updater=HardUpdate(loss, value_network_update_interval=1),
-        greedy_module=greedy,
-        log_rewards=False,
-        progress_bar=False,
-    ).train()
-    learned = weights(actor if greedy is None else TensorDictSequential(actor, greedy))
-    assert (weights(policy) == learned).all()
-    assert not (before == learned).all()
-
-
-@pytest.mark.slow
-def test_workers_of_a_multi_sync_collector_draw_anew_for_every_round():
-    actor = bayes_actor()
-    policy = ThompsonSampling(actor, per="round")
-    collector = MultiSyncCollector(
-        [StillEnv] * 2, policy, frames_per_batch=20, total_frames=80, cat_results="stack"
-    )
-    found = []
-    try:
-        for number, batch in enumerate(collector):
-            found.append(batch["action_value"][..., 2].reshape(2, -1))
-            if number > 0:
-                with torch.no_grad():
-                    actor[0].module.posterior.mu.add_(1e-3)
-                collector.update_policy_weights_(TensorDict.from_module(actor))
-    finally:
-        collector.shutdown()
-    for drawn in found:  # one draw a worker
-        assert (drawn == drawn[:, :1]).all()
-    first, second, third, fourth = (drawn[:, 0] for drawn in found)
-    assert torch.equal(first, second)
-    assert not (second == third).any()
-    assert not (third == fourth).any()

@@ -9,7 +9,6 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torch import nn
-from torch.func import functional_call, grad, stack_module_state, vmap
 from torchrl.data import Categorical, OneHot
 
 from bbq_torchrl.bayes import BayesConv2d, BayesMLP
@@ -42,22 +41,6 @@ def test_values_and_gradients_in_bfloat16_are_near_those_in_float32(make, settin
     for exact, rounded in zip(*found, strict=True):
         # bfloat16 has 8 bits: an error of 0.4 % for each rounding
         assert (rounded - exact).norm() < 0.1 * exact.norm()
-
-
-@pytest.mark.parametrize("replicas", [(), (2,)])
-@pytest.mark.parametrize("make", [FlatMLP, HEADS])
-def test_gradients_and_loops_by_torch_func_are_autograds(make, replicas):
-    nets = [make(5, 3, (7, 6), replicas=replicas, dtype=torch.double) for _ in range(3)]
-    x = torch.randn(*replicas, 8, 5, dtype=torch.double)
-
-    def value(parameters, buffers):
-        return functional_call(nets[0], (parameters, buffers), (x,)).square().sum()
-
-    found = vmap(grad(value))(*stack_module_state(nets))
-    for number, net in enumerate(nets):
-        net(x).square().sum().backward()
-        for name, parameter in net.named_parameters():
-            torch.testing.assert_close(found[name][number], parameter.grad)
 
 
 @pytest.mark.parametrize("make", [FlatMLP, BayesMLP])

@@ -9,12 +9,12 @@ from dynamics_losses import result
 from q_transitions import ACTIONS, away
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
-from torchrl.data import Categorical, OneHot
+from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import EGreedyModule, QValueActor, QValueModule
 from torchrl.objectives import DQNLoss, HardUpdate
 
-from bbq_torchrl.bayes import BayesConv2d, BayesLinear, BayesMLP, kl_divergence
+from bbq_torchrl.bayes import BayesConv2d, BayesLinear, kl_divergence
 from bbq_torchrl.exploration import (
     BootstrapSampling,
     EvaluationPolicy,
@@ -23,7 +23,7 @@ from bbq_torchrl.exploration import (
     NoisySampling,
     ThompsonSampling,
 )
-from bbq_torchrl.networks import BootstrapMLP, FlatMLP, NoisyMLP, ReplicaNoisyLinear
+from bbq_torchrl.networks import BootstrapMLP, ReplicaNoisyLinear
 from bbq_torchrl.networks.vote import VoteModule
 from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, DropoutDQNLoss, NoisyDQNLoss
 
@@ -172,43 +172,3 @@ def test_every_strategy_and_evaluation_acts_on_it(kind, settings, makes, keeps_i
         if "state" in policy.in_keys:  # where the next step goes on
             assert first["next", "state"].shape == (ROWS, HIDDEN)
         assert policy.spec is None or make is heads  # TensorDictSequential has none
-
-
-@pytest.mark.parametrize(
-    ("kind", "make"), [(ThompsonSampling, recurrent), (BootstrapSampling, heads)]
-)
-def test_an_episode_needs_to_know_where_it_begins(kind, make):
-    policy, td = kind(make(), per="episode"), transitions()
-    with pytest.raises(ValueError, match="is_init"):
-        policy(td)
-    with set_exploration_type(ExplorationType.DETERMINISTIC):
-        policy(td)  # where nothing is drawn, nothing is missing
-
-
-@pytest.mark.parametrize(
-    ("loss", "net", "settings"),
-    [
-        (DropoutDQNLoss, FlatMLP, {}),
-        (BBQNLoss, BayesMLP, {"num_data": 100}),
-        (BootstrapDQNLoss, BootstrapMLP, {}),
-        (NoisyDQNLoss, NoisyMLP, {}),
-    ],
-)
-def test_a_bare_network_learns_with_the_spec_of_its_action(loss, net, settings):
-    net, td, found = net(60, ACTIONS), transitions(), []
-    one_hot = td.clone().set("action", nn.functional.one_hot(td["action"], ACTIONS))
-    for spec, batch in ((SPEC, td), (OneHot(ACTIONS), one_hot)):
-        made = loss(net, action_space=spec, **settings)
-        HardUpdate(made, value_network_update_interval=0)
-        torch.manual_seed(0)
-        found.append(made(batch)["loss"])
-    torch.testing.assert_close(*found)
-    with pytest.raises(ValueError, match="action"):
-        made(td)
-
-
-@pytest.mark.parametrize("replicas", [2, (2,), [2], torch.Size([2])])
-def test_a_network_says_its_replicas_by_a_number_or_a_shape(replicas):
-    net = nn.Linear(60, ACTIONS)
-    net.replicas = replicas
-    assert DropoutDQNLoss(net, action_space=SPEC).replicas == (2,)

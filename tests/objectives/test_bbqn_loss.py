@@ -139,19 +139,3 @@ def test_num_data_is_set_for_all_or_for_each_replica_and_part_of_the_state():
         assert loss.num_data.tolist() == expected
     other.load_state_dict(loss.state_dict())
     assert other(transitions((3,)))["loss"].isfinite()
-
-
-def test_the_sampled_kl_moves_weights_that_no_data_reach():
-    # why the closed form is the default
-    net = BayesMLP(3, 2, (), mean_init="zero", std_init=None)
-    loss = BBQNLoss(q_actor(net, Categorical(2), action_mask_key=None), kl="sampled", num_data=50)
-    HardUpdate(loss, value_network_update_interval=0)
-    optimizer = torch.optim.Adam(loss.parameters(), 1e-3)
-    td = transitions(features=3)
-    for entry in ("observation", ("next", "observation"), "action"):
-        td[entry].zero_()
-    for _ in range(20):
-        optimizer.zero_grad()
-        loss(td)["loss"].backward()
-        optimizer.step()
-    assert (net.layout.unflatten(flat(loss, "mu"))[0][0] != 0).all()

@@ -113,5 +113,3 @@ def test_the_mask_may_have_another_name():
     assert not torch.equal(loss(td)["loss"], expected)
     loss.set_keys(bootstrap_mask=("my", "mask"))
     assert torch.equal(loss(td)["loss"], expected)
-    loss.set_keys(bootstrap_mask=None)
-    assert loss.tensor_keys.bootstrap_mask == "bootstrap_mask"

@@ -21,11 +21,9 @@ from q_transitions import (
     transitions,
 )
 from tensordict import TensorDict
-from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
 from torch.func import functional_call
 from torchrl.data import Categorical
-from torchrl.modules import QValueModule
 from torchrl.objectives import DQNLoss, HardUpdate
 
 from bbq_torchrl.networks import FlatMLP, q_actor
@@ -91,21 +89,9 @@ def torch_net():
     return q_actor(nn.Sequential(*layers), Categorical(ACTIONS))
 
 
-def recurrent_net(kind):
-    layers = kind(FEATURES, 16, num_layers=2, dropout=0.5)
-    trunk = TensorDictModule(layers, ["observation"], ["hidden", "_"])
-    head = TensorDictModule(nn.Linear(16, ACTIONS), ["hidden"], ["action_value"])
-    choice = QValueModule(action_space="categorical", action_mask_key="action_mask")
-    return TensorDictSequential(trunk, head, choice)
-
-
 @pytest.mark.parametrize("training", [True, False])
 @pytest.mark.parametrize("double_dqn", [False, True])
-@pytest.mark.parametrize(
-    "network",
-    [flat_net, torch_net, lambda: recurrent_net(nn.LSTM), lambda: recurrent_net(nn.GRU)],
-    ids=["flat", "torch", "lstm", "gru"],
-)
+@pytest.mark.parametrize("network", [flat_net, torch_net])
 def test_dropout_is_on_in_the_prediction_and_off_in_the_targets(network, double_dqn, training):
     actor = network()
     actor.train(training)  # what acting does to the network must not matter
@@ -151,13 +137,7 @@ def to_parameters(loss):
 
 @pytest.mark.parametrize(
     ("delay_value", "replace"),
-    [
-        (False, to_module),
-        (False, to_parameters),
-        (True, to_module),
-        (True, to_targets),
-        (True, to_parameters),
-    ],
+    [(False, to_module), (False, to_parameters), (True, to_module), (True, to_targets)],
 )
 def test_replaced_parameters_are_used(delay_value, replace):
     actor = q_actor(FlatMLP(FEATURES, ACTIONS, (8,)), Categorical(ACTIONS))

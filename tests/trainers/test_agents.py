@@ -53,8 +53,14 @@ def build(restaurant_folder, tmp_path):
     return made
 
 
+DAILY = ("bbqn_mc", "dqn_bootstrap", "dqn_vime_map", "noisy_dqn")
+
+
 @pytest.mark.filterwarnings("ignore:No target network updater")  # on a device without numbers
-@pytest.mark.parametrize("agent", AGENTS)
+@pytest.mark.parametrize(
+    "agent",
+    [name if name in DAILY else pytest.param(name, marks=pytest.mark.slow) for name in AGENTS],
+)
 def test_a_rounds_updates_never_wait_and_find_all_on_their_device(agent, build):
     config, trainer = build(agent, "run")
     with drawn_as_on_a_device():

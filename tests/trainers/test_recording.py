@@ -88,17 +88,11 @@ class OwnLogger(LoggerOption):
     make = None
 
 
-@pytest.mark.parametrize(
-    ("option", "command"),
-    [
-        *((LOGGERS[name], rf"pip install .*\[{name}\]'") for name in LOGGERS if name != "csv"),
-        (OwnLogger, "pip install own$"),
-    ],
-)
-def test_a_missing_package_is_named_with_how_to_install_it(monkeypatch, option, command):
+@pytest.mark.parametrize("option", [LOGGERS["wandb"], LOGGERS["tensorboard"], OwnLogger])
+def test_a_missing_package_is_named(monkeypatch, option):
     monkeypatch.setattr(importlib.util, "find_spec", lambda module: None)
 
-    with pytest.raises(ConfigError, match=f"needs the package {option.package}: {command}"):
+    with pytest.raises(ConfigError, match=option.package):
         option().check_ready()
 
 

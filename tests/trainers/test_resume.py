@@ -37,6 +37,7 @@ MOMENTS: dict[str, tuple[object, str, int]] = {
     "while the last checkpoint is published": (os, "replace", 6),
     "before a round's metrics are written": (MetricsFile, "append", 5),
 }
+WITHIN_A_LINE = "within a line of the metrics"
 
 
 def die() -> None:
@@ -71,7 +72,7 @@ def build(folder: Path, rounds: int = 10) -> RoundTrainer:
 def train(folder: Path, moment: str | None = None) -> None:
     """Resumes the training, or starts it, and dies at the given moment."""
     trainer = build(folder)
-    if moment == "within a line of the metrics":
+    if moment == WITHIN_A_LINE:
         trainer.callbacks = (die_within_a_line,)
     elif moment is not None:
         die_at(*MOMENTS[moment])
@@ -101,7 +102,13 @@ def reference(tmp_path_factory) -> RoundTrainer:
     return trainer
 
 
-@pytest.mark.parametrize("moment", [*MOMENTS, "within a line of the metrics"])
+DAILY = ("in the middle of an epoch", "while a checkpoint is written", WITHIN_A_LINE)
+NIGHTLY = [
+    pytest.param(moment, marks=pytest.mark.slow) for moment in MOMENTS if moment not in DAILY
+]
+
+
+@pytest.mark.parametrize("moment", [*DAILY, *NIGHTLY])
 def test_a_training_killed_at_the_worst_moment_ends_the_same(tmp_path, reference, moment):
     folder = tmp_path / "run"
 

@@ -94,12 +94,6 @@ def test_a_single_action_and_a_continuous_one():
     assert torch.equal(single.inputs(x, force)[:, -1:], force)
 
 
-def test_observations_may_be_of_any_dtype():
-    dynamics, action = DynamicsModel(S, A), torch.zeros(6).long()
-    bits = torch.rand(6, S) < 0.5
-    assert torch.equal(dynamics(bits, action), dynamics(bits.float(), action))
-
-
 @pytest.mark.parametrize(
     "settings", [{"noise_std": torch.nan}, {"std_floor": -1.0}, {"observation_size": 0}]
 )

@@ -91,21 +91,6 @@ def test_keys_can_be_set():
         ("next", "terminated"),
     ]
     assert torch.equal(result(loss, td)["loss"], expected)
-    loss.set_keys(observation=None)
-    assert loss.tensor_keys.observation == "observation"
-
-
-def test_it_can_be_called_with_tensors():
-    loss, td = dynamics_loss(), transitions()
-    torch.manual_seed(0)
-    out = loss(**dict(td.select(*loss.in_keys).flatten_keys("_").items()))
-    torch.testing.assert_close(out[0], result(loss, td)["loss"])
-
-
-def test_statistics_stay_where_parameters_are_reset():
-    loss = dynamics_loss()
-    loss.reset_parameters_recursive()
-    assert loss.dynamics.mean.any()
 
 
 def test_the_dynamics_learn_every_this_many_batches_and_report_the_last_losses_in_between():
