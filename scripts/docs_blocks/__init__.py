@@ -19,7 +19,17 @@ from scripts.docs_blocks import (
 )
 from scripts.docs_blocks.common import BLOCKS
 
-__all__ = ["BLOCKS", "best", "config", "domain", "draw_figures", "learning", "story", "tables"]
+__all__ = [
+    "BLOCKS",
+    "best",
+    "config",
+    "domain",
+    "draw_figures",
+    "files",
+    "learning",
+    "story",
+    "tables",
+]
 
 
 def draw_figures() -> None:
@@ -28,4 +38,3 @@ def draw_figures() -> None:
     results.write_claims()
     speed.draw_growth()
     house.draw_house()
-    files.copy_figures()

@@ -2,17 +2,11 @@
 
 from __future__ import annotations
 
-import re
-import shutil
 import sys
-from typing import TYPE_CHECKING
 
 from bbq_torchrl.utils.statistics import estimate
-from scripts.docs_blocks.common import FIGURES, RESULTS, ROOT, block, code, read_csv, table
+from scripts.docs_blocks.common import RESULTS, ROOT, block, code, read_csv, short, table
 from scripts.talks.counts import SHARES, shares
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
 
 EXAMPLES = ROOT / "examples"
 _SUMMARY = {
@@ -51,29 +45,19 @@ def _uncertainty() -> str:
 
 @block("bench.summary")
 def _bench_summary() -> str:
-    """Returns a table of the published benchmark for each domain, the earliest agents first."""
-    by_domain: dict[str, dict[str, list[Mapping[str, str]]]] = {}
+    """Returns the means of the published benchmark in each domain, the earliest agents first."""
+    values: dict[str, dict[str, list[float]]] = {}
     for row in read_csv("bench/bench.csv"):
-        by_domain.setdefault(row["domain"], {}).setdefault(row["agent"], []).append(row)
-    tables = []
-    for domain, agents in by_domain.items():
-        rows = [
-            (code(agent), *(estimate([float(row[key]) for row in of]) for key in _SUMMARY.values()))
-            for agent, of in agents.items()
-        ]
-        rows.sort(key=lambda row: row[1].value, reverse=True)
-        head = (f"domain {code(domain)}, errors at the reference", *_SUMMARY)
-        tables.append(table(head, [(row[0], *map(str, row[1:])) for row in rows]))
-    return "\n\n".join(tables)
-
-
-@block("study.simulated")
-def _simulated() -> str:
-    """Returns the agents and the declared pairs of the study with simulated users."""
-    text = (RESULTS / "study" / "report.md").read_text(encoding="utf-8")
-    text = text[text.index("## Agents") : text.index("## Distribution")]
-    text = re.sub(r"\]\((\w+)\.png\)", r"](figures/study_simulated_\1.png)", text)
-    return text.replace("## ", "#### ")
+        of_agent = values.setdefault(row["agent"], {})
+        for name, column in _SUMMARY.items():
+            of_agent.setdefault(f"{row['domain']}: {name}", []).append(float(row[column]))
+    rows = [
+        (code(agent), *(short(estimate(found).value) for found in of.values()))
+        for agent, of in values.items()
+    ]
+    rows.sort(key=lambda row: row[1], reverse=True)
+    columns = next(iter(values.values()))
+    return table(("agent", *columns), rows, numbers=len(columns))
 
 
 @block("chat.control")
@@ -120,34 +104,13 @@ def _mean(rows: list[dict[str, str]], key: str) -> str:
     return mean if len(values) == 1 else f"{mean} ({min(values):.2f}–{max(values):.2f})"
 
 
-def _shares(columns: Mapping[str, tuple[str, str]]) -> str:
-    """Returns the shares of conversations, a column for each name of a label and an agent."""
-    rows = read_csv("talks.csv")
-    found = [
-        shares(row for row in rows if (row["label"], row["agent"]) == column)
-        for column in columns.values()
-    ]
-    lines = [(name, *(part[name] for part in found)) for name in SHARES]
-    return table(("", *columns), lines, numbers=len(columns))
-
-
-@block("chat.talks")
-def _talks() -> str:
-    """Returns the shares of conversations before and after the control that answers at once."""
-    return _shares({name: (name, "shipped:bbqn_map") for name in ("before", "after")})
-
-
 @block("chat.talks_agents")
 def _talks_of_agents() -> str:
     """Returns the shares of conversations of each shipped agent."""
-    agents = {row["agent"]: None for row in read_csv("talks.csv") if row["label"] == _FEW}
-    return _shares({agent.removeprefix("shipped:"): (_FEW, agent) for agent in agents})
-
-
-def copy_figures() -> None:
-    """Copies the figures of the reports in results/ to docs/figures/."""
-    for report, names in (("study", ("success", "ratings")), ("bench", ("profiles", "booked"))):
-        prefix = "study_simulated" if report == "study" else report
-        for name in names:
-            file = FIGURES / f"{prefix}_{name}.png"
-            shutil.copyfile(RESULTS / report / f"{name}.png", file)
+    rows = [row for row in read_csv("talks.csv") if row["label"] == _FEW]
+    found = {
+        agent.removeprefix("shipped:"): shares(row for row in rows if row["agent"] == agent)
+        for agent in dict.fromkeys(row["agent"] for row in rows)
+    }
+    lines = [(name, *(of[name] for of in found.values())) for name in SHARES]
+    return table(("", *found), lines, numbers=len(found))

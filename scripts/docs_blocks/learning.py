@@ -173,22 +173,6 @@ def _searched_long() -> str:
     return table((*head, "minus the first"), rows, numbers=4)
 
 
-@block("gp.table1")
-def _gaussian_process() -> str:
-    """Returns the Gaussian process next to agents of Table 1, a table for each environment."""
-    budgets = (500, 2_000)
-    tables = []
-    for env, of in (("full domain", "full"), ("domain extension", "extension")):
-        rows = []
-        for name in ("gp", "bbqn_map_soft", "bbqn_map", "dqn_boltzmann", "dqn"):
-            own = group(f"table1/{of}/{name}")
-            booked = (estimate(own.booked(budget)) for budget in budgets)
-            rows.append((own.agent, *booked, estimate(own.final), f"{own.reward:.2f}"))
-        head = (env, *(f"booked after {budget:,}" for budget in budgets), "final", "reward")
-        tables.append(table(head, rows, numbers=4))
-    return "\n\n".join(tables)
-
-
 def unspiked() -> dict[tuple[str, str], list[dict[str, str]]]:
     """Returns the seeds that learn without spiking, by domain and agent."""
     seeds: dict[tuple[str, str], list[dict[str, str]]] = defaultdict(list)
@@ -200,14 +184,15 @@ def unspiked() -> dict[tuple[str, str], list[dict[str, str]]]:
 @block("results.unspiked")
 def _unspiked() -> str:
     """Returns a table for each domain of agents that learn without spiking, the best first."""
-    tables: dict[str, list[tuple[float, tuple[object, ...]]]] = defaultdict(list)
+    tables: dict[str, list[tuple[float, tuple[str, ...]]]] = defaultdict(list)
     for (domain, agent), rows in unspiked().items():
         booked, final = (
             estimate([float(row[column]) for row in rows]) for column in ("booked", "final")
         )
         times = tuple(float(row["to_0.3"] or "inf") for row in rows)
-        reached = Reach(times, int(rows[0]["dialogues"]))
-        tables[domain].append((booked.value, (code(agent), reached, booked, final)))
+        reached = str(Reach(times, int(rows[0]["dialogues"])))
+        row = (code(agent), reached, f"{booked.value:.3f}", str(final))
+        tables[domain].append((booked.value, row))
     return "\n\n".join(
         table(
             (f"domain {code(domain)}", "dialogues to .3", "booked in all", "final success"),

@@ -5,14 +5,13 @@ from __future__ import annotations
 import csv
 import json
 from collections import Counter
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
 import yaml
 from PIL import Image
 
-from bbq_torchrl.domains.domain import PRIVILEGED_POLICY, RANDOM_POLICY
+from bbq_torchrl.domains.domain import PRIVILEGED_POLICY
 from bbq_torchrl.evaluation.compare_runs import PAPER
 from bbq_torchrl.evaluation.figures import draw_comparison
 from bbq_torchrl.evaluation.groups import labeled
@@ -97,17 +96,19 @@ def cells(name: str, env: str) -> dict[str, Group]:
 @block("results.printed", "printed")
 def _table1(name: str) -> str:
     """Returns Table 1's agents beside the paper's numbers, with one command."""
+    is_main = name == "table1"
+    head = ["the paper's", "final success", f"{OURS} minus it"]
+    head += [f"booked after {EARLY:,}", "cumulative"] if is_main else []
     parts = []
     for env, title in DOMAINS.items():
         of_env = cells(name, env)
         rows = []
         for agent, own in of_env.items():
             gap = NONE if agent == OURS else minus(of_env[OURS], own, "final")
-            numbers = (estimate(own.final), f"{PAPER[env][agent][0]:.4f}")
-            rows.append((agent, *numbers, *_early(own), gap))
-        head = (title, "final success", "the paper's", f"booked after {EARLY:,}", "cumulative")
-        parts.append(table((*head, f"{OURS} minus it"), rows, numbers=5))
-        if name == "table1":
+            early = _early(own) if is_main else ()
+            rows.append((agent, f"{PAPER[env][agent][0]:.4f}", estimate(own.final), gap, *early))
+        parts.append(table((title, *head), rows, numbers=len(head)))
+        if is_main:
             parts.append(f"![{title}: learning curves](figures/{name}_{env}.png)")
     return "\n\n".join([*parts, commands(name)])
 
@@ -145,13 +146,17 @@ def _commands(name: str) -> str:
 def _explorers() -> str:
     """Returns each learner by each explorer, and minus its first one."""
     rows = []
-    for learner, names in EXPLORERS.items():
-        first, *others = groups(*(f"explorers/{name}" for name in names))
+    for learner in EXPLORERS:
+        first, *others = _of_learner(learner)
         rows.append((learner, code(first.first.explore), *_both(first), NONE, NONE))
         for own, gaps in zip(others, _starred(first, others), strict=True):
             rows.append(("", code(own.first.explore), *_both(own), *gaps))
     head = ("learner", "explorer", "final", "cumulative", "final minus first", "cumulative minus")
     return f"{table(head, rows, numbers=4)}\n\n{_STARS}\n\n{commands('explorers')}"
+
+
+def _of_learner(learner: str) -> list[Group]:
+    return groups(*(f"explorers/{name}" for name in EXPLORERS[learner]))
 
 
 @block("results.ablations")
@@ -195,18 +200,6 @@ def _modes() -> str:
         for mode, rates in played.items()
     ]
     return table(("evaluated by", "success", "minus the mean's"), rows, numbers=2)
-
-
-@block("results.scripts")
-def _best_script() -> str:
-    """Returns the sentence on the success of scripted policies in the full domain."""
-    rates = _rates("movie", "reference")
-    best = max(rates.keys() - {RANDOM_POLICY, PRIVILEGED_POLICY}, key=rates.__getitem__)
-    return (
-        f"In the full domain the best script, {code(best)}, books {rates[best]:.2f} of the "
-        f"dialogues, the rule agent that spikes the buffer {rates['rule']:.2f}, and a privileged "
-        f"policy that reads the user's hidden goal {rates[PRIVILEGED_POLICY]:.2f}."
-    )
 
 
 def _rates(corpus: str, setting: str) -> dict[str, float]:
@@ -325,7 +318,7 @@ def write_claims() -> None:
 
 
 def draw_figures() -> None:
-    """Draws the learning curves of the experiments, ablations and explorers."""
+    """Draws the learning curves of Table 1 and of the experiments."""
     for env, title in DOMAINS.items():
         of_env = cells("table1", env)
         panels = {
@@ -337,20 +330,18 @@ def draw_figures() -> None:
     for name, (title, *played_in) in EXPERIMENTS.items():
         if name != "no_spike":  # without any success
             _save(_curves({"": groups(name)}, title, tuple(played_in)), name)
-    by_learner = {
-        learner: groups(*(f"explorers/{name}" for name in names))
-        for learner, names in EXPLORERS.items()
-    }
     by_explorer = {
-        learner: {own.first.explore: estimate(own.final) for own in members}
-        for learner, members in by_learner.items()
+        learner: {own.first.explore: estimate(own.final) for own in _of_learner(learner)}
+        for learner in EXPLORERS
     }
     _save(draw_intervals(by_explorer, title="Final success by explorer"), "grid")
-    changed = {
-        what: estimate(common.group(f"ablations/{name}").final)
-        for name, what in [("reference", "reference"), *chain(*(of.items() for of in ABLATIONS))]
+    changed = {"reference": "reference"} | {
+        run: what for of in ABLATIONS for run, what in of.items()
     }
-    _save(draw_intervals({"": changed}, title="Final success of the ablations"), "ablations")
+    ablated = {
+        what: estimate(common.group(f"ablations/{run}").final) for run, what in changed.items()
+    }
+    _save(draw_intervals({"": ablated}, title="Final success of the ablations"), "ablations")
 
 
 def _curves(

@@ -8,23 +8,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from bbq_torchrl.utils.reports import COLORS
-from benchmarks.parts.rows import as_table, number, read
-from scripts.docs_blocks.common import FIGURES, RESULTS, block, read_csv, table
-
-ALONE = "replicas=1, buffer of 10,000, sampling included"
-FLOOR = {
-    "an update of bare dqn": "bare DQN update",
-    **{
-        f"an update of {agent}": f"update of {agent}, {ALONE}"
-        for agent in ("dqn", "bbqn-map", "bbqn-mc")
-    },
-    "a valid turn": "simulator, 1,000 dialogues in parallel",
-}
-"""Lower bound -> the row of the measured time."""
-
-_TO_US = {"ms": lambda value: 1e3 * value, "µs": float, "turns/s": lambda value: 1e6 / value}
-"""Unit -> factor to microseconds."""
-
+from benchmarks.parts.rows import as_table, read
+from scripts.docs_blocks.common import FIGURES, RESULTS, block, read_csv
 
 _SHOWN = {"update", "time_to_learn"}
 """Parts of the comparison with limits on the page, which only counts the met limits of others."""
@@ -42,16 +27,6 @@ def _costs() -> str:
         f"{as_table(shown)}\n\nVersion {version}. Of {len(others)} other limits (simulator, VIME, "
         f"ten heads, memory, the rest of a round) {met} are met."
     )
-
-
-@block("speed.floor")
-def _floor() -> str:
-    """Returns lower bounds and measured times."""
-    *_, rows = read(RESULTS / "speed.csv").values()
-    took = {row.what: _TO_US[row.unit](row.measured) for row in rows if row.unit in _TO_US}
-    pairs = [(what, took[f"least time of {what}"], took[row]) for what, row in FLOOR.items()]
-    lines = [(what, number(a), number(b), f"{b / a:.2g}") for what, a, b in pairs]
-    return table(("what", "least µs", "measured µs", "times the least"), lines, numbers=3)
 
 
 def draw_growth() -> None:

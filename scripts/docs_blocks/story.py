@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from functools import partial
 from statistics import fmean
 from typing import TYPE_CHECKING
 
@@ -23,20 +22,11 @@ TABLE1 = {"full": "table1/full", "domain_ext": "table1/extension"}
 """Environment -> folder of its runs in results/."""
 
 SOFT = [(f"{folder}/bbqn_map_soft", f"{folder}/dqn_boltzmann") for folder in TABLE1.values()]
-SEARCHED = [
-    (f"searched/{env}bbqn_searched", f"searched/{env}dqn_boltzmann_searched")
-    for env in ("", "extension_")
-]
-"""Folders of BBQN and DQN-Boltzmann in each environment: BBQN's default, and both searched."""
-
-QUICK = ("quick_rate/bbqn_falling", "quick_rate/dqn_boltzmann_falling")
-"""The folders of both with their defaults in the quick form of the full domain."""
-
 SEARCHED_LONG = [
     (f"searched/table1_{env}bbqn", f"searched/table1_{env}dqn_boltzmann")
     for env in ("", "extension_")
 ]
-"""The folders of both searched in Table 1's setting, in each environment."""
+"""BBQN and DQN-Boltzmann, both searched in Table 1's setting, in each environment."""
 
 BY_ENV = "{} in the full domain, {} in domain extension"
 
@@ -75,30 +65,6 @@ def _finals(names: Iterable[str]) -> list[list[float]]:
     """Returns the mean final success of agents of Table 1 in each of its environments."""
     chosen = [*names]
     return [[fmean(of_env[name].final) for name in chosen] for of_env in _cells().values()]
-
-
-@block("results.early")
-def _early() -> str:
-    """Returns BBQN minus DQN-Boltzmann, early and at the end, in each setting."""
-    rounds = group(SEARCHED[0][0]).first.rounds
-    settings = {
-        "Table 1: BBQN-MAP": partial(_differences, "BBQN-MAP", "DQN-Boltzmann"),
-        "Table 1: Soft BBQN-MAP, the default of `agent=bbqn`": partial(_of_each, SOFT),
-        "`protocol=quick`: Soft BBQN-MAP": partial(_of_each, [QUICK]),
-        f"both searched, {rounds} rounds": partial(_of_each, SEARCHED),
-        "both searched, in Table 1's setting": partial(_of_each, SEARCHED_LONG),
-    }
-    quantities = {"early": f"first {EARLY:,} dialogues", "final": "end"}
-    environments = ("full", "extension")
-    header = (f"{what}, {env}" for what in quantities.values() for env in environments)
-    rows = []
-    for name, differences in settings.items():
-        row: list[object] = [name]
-        for quantity in quantities:
-            found = differences(quantity)
-            row += [*found, *["not run"] * (len(environments) - len(found))]
-        rows.append(row)
-    return table(("BBQN minus DQN-Boltzmann", *header), rows)
 
 
 def _learned_unspiked() -> dict[str, int]:

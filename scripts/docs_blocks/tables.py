@@ -106,13 +106,6 @@ def _limits() -> str:
     return pivot("", cells)
 
 
-@block("language.voices")
-def _voices() -> str:
-    found = read_json("language.json")["voices"]
-    cells = {(one, key): f"{of[key]:.3f}" for one, of in found.items() for key in of}
-    return pivot("voice", cells)
-
-
 @block("language.new_hands")
 def _new_hands() -> str:
     """Returns the nlu's accuracy on writers left out of its training."""

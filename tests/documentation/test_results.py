@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import lzma
 
 import pytest
@@ -58,22 +57,6 @@ def test_unfinished_run_is_not_kept(tmp_path):
     with pytest.raises(FileNotFoundError, match=r"result\.json"):
         keep_result.keep(run, tmp_path / "kept", "dqn")
     assert not (tmp_path / "kept").exists()
-
-
-def test_the_best_script_is_the_one_that_was_measured_to_be(tmp_path, monkeypatch):
-    rates = {"random": 0.9, "rule": 0.2, "a_script": 0.5, "another": 0.7, "clairvoyant": 0.8}
-    entries = [
-        {"corpus": "movie", "setting": setting, "policy": policy, "result": {"success_rate": rate}}
-        for setting, policy, rate in [
-            *(("reference", *item) for item in rates.items()),
-            ("no error", "a_script", 0.95),
-        ]
-    ]
-    (tmp_path / "policies.json").write_text(json.dumps(entries))
-    monkeypatch.setattr(common, "RESULTS", tmp_path)
-    text = BLOCKS["results.scripts"]()
-    assert "`another`, books 0.70" in text
-    assert text.index("0.20") < text.index("0.80")
 
 
 def test_an_experiment_is_shown_with_a_command_that_made_it(kept):
