@@ -28,7 +28,7 @@ from bbq_torchrl.runs.compose import quoted, take_config_dir, train_command
 from bbq_torchrl.runs.prepare import config_fingerprint, final_config
 from bbq_torchrl.runs.sweeps import run_job
 from bbq_torchrl.utils import interruption, output
-from bbq_torchrl.utils.files import CONFIG, RESULT
+from bbq_torchrl.utils.files import CONFIG
 from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
@@ -95,8 +95,7 @@ def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -
         ConfigError: another process is at work in the folder.
         Interrupted: a signal came; all rounds are saved.
     """
-    from bbq_torchrl.evaluation.run_result import flat_numbers, write_json
-    from bbq_torchrl.runs import build, final, folders
+    from bbq_torchrl.runs import build, folders
 
     with folders.run_lock(folder), build.opened_loggers(config, folder) as loggers:
         code = build.checkout()  # at the start, since the code may change during the run
@@ -117,14 +116,15 @@ def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -
             with interruption.on_interrupt(trainer.stop):
                 trainer.train(resume=config.resume is not None)
             interruption.check()
+
+        from bbq_torchrl.runs import final  # not earlier: Matplotlib takes a second
+
+        if not result:
             result = final.final_result(config, folder, domain, agent.actor, trainer, code)
-            write_json(result, folder / RESULT)
         if config.protocol.keep_checkpoints == "weights":
             trainer.checkpoints.keep_only("loss", "best")
         final.draw_curve(config, folder, result, trainer, domain, spike_policy)  # the last file
-        final.log_result(config, folder, result)
-        numbers = {f"result/{name}": value for name, value in flat_numbers(result).items()}
-        config.logger.log_result(loggers, numbers, rounds=result.rounds)
+        final.log_result(config, folder, result, loggers)
     return result
 
 
