@@ -16,14 +16,19 @@ from bbq_torchrl.data.replay import TRANSITION_KEYS
 from bbq_torchrl.evaluation.rollouts import RoundEvaluator
 from bbq_torchrl.options import Task
 from bbq_torchrl.options.task import action_mask_key, replica_values
+from bbq_torchrl.runs.folders import finished_result
+from bbq_torchrl.runs.prepare import config_fingerprint
 from bbq_torchrl.settings import ConfigError, walk
 from bbq_torchrl.trainers import (
+    CheckpointDamagedError,
+    CheckpointFolder,
     TrainingError,
     derive_seed,
     episode_stats,
     keep_freed_memory,
     rollouts,
 )
+from bbq_torchrl.utils.files import CHECKPOINTS, METRICS
 from bbq_torchrl.utils.text import FaultsError, shown
 
 if TYPE_CHECKING:
@@ -57,11 +62,12 @@ def make_domain(config: Config | EvaluateConfig) -> Domain | None:
 
 
 def check_resources(config: Config) -> None:
-    """Loads what a configuration refers to: device, logger, domain and scripted policy.
+    """Checks what a configuration refers to: device, logger, domain, script and checkpoint.
 
     Raises:
         ConfigError: the device is absent, the logger cannot be used here, or the domain lacks the
             scripted policy.
+        TrainingError: the run to resume has no usable checkpoint.
         ValueError or OSError: the domain is damaged or missing.
     """
     check_device(config.device)
@@ -78,6 +84,17 @@ def check_resources(config: Config) -> None:
             f"spike.policy must be one of {', '.join(policies)} or null, got {shown(spike.policy)}"
         )
     config.env.check_domain(domain)
+    if config.resume is not None:
+        _check_checkpoint(Path(config.resume), config)
+
+
+def _check_checkpoint(folder: Path, config: Config) -> None:
+    """Refuses to resume a run without a usable checkpoint, before its configuration changes."""
+    if finished_result(folder, config.protocol.rounds) is not None:
+        return  # only the curve may be missing
+    found = CheckpointFolder(folder / CHECKPOINTS).check(config_fingerprint(config), "replay")
+    if not found and (folder / METRICS).exists():
+        raise CheckpointDamagedError.gone(folder)
 
 
 def check_device(device: str) -> None:

@@ -20,15 +20,17 @@ from bbq_torchrl.evaluation.run_result import (
     RunResult,
     TrainingEvaluation,
     best_script,
+    flat_numbers,
     reference_lines,
     replica_result,
     training_evaluation,
+    write_json,
 )
 from bbq_torchrl.options.task import replica_values
 from bbq_torchrl.protocols import enter_round
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import NonFiniteWeightsError, RunFolderGoneError
-from bbq_torchrl.utils.files import CURVE
+from bbq_torchrl.utils.files import CURVE, RESULT
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -37,6 +39,7 @@ if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
     from torchrl.envs import EnvBase
     from torchrl.modules import QValueActor
+    from torchrl.record.loggers import Logger
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.evaluation.groups import Group
@@ -59,7 +62,7 @@ def final_result(
     trainer: RoundTrainer,
     code: Checkout,
 ) -> RunResult:
-    """Plays the final evaluation with the slots that were active when training ended.
+    """Plays the final evaluation with the slots that were active at the end, and writes the result.
 
     Args:
         config: the run's configuration.
@@ -104,7 +107,7 @@ def final_result(
         )
         for replica in range(config.replicas)
     ]
-    return RunResult.of(
+    result = RunResult.of(
         per_replica,
         agent=config.agent.name,
         explore=config.explore.name,
@@ -121,6 +124,8 @@ def final_result(
         skipped=() if domain is None else domain.skipped,
         **_others(config, domain),
     )
+    write_json(result, folder / RESULT)
+    return result
 
 
 def draw_curve(
@@ -203,10 +208,12 @@ def _versions() -> dict[str, str]:
     }
 
 
-def log_result(config: Config, folder: Path, result: RunResult) -> None:
+def log_result(config: Config, folder: Path, result: RunResult, loggers: Sequence[Logger]) -> None:
     """Logs the final success next to that of scripted and privileged policies."""
     _LOG.info("%s", _result_line(config, result))
     _LOG.info("success rate %.4f; everything is in %s", result.success_rate, folder)
+    numbers = {f"result/{name}": value for name, value in flat_numbers(result).items()}
+    config.logger.log_result(loggers, numbers, rounds=result.rounds)
 
 
 def _result_line(config: Config, result: RunResult) -> str:

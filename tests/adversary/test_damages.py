@@ -9,7 +9,8 @@ import pytest
 import torch
 from planted import rewritten
 
-from bbq_torchrl.runs.resume import config_fingerprint, load_config
+from bbq_torchrl.runs.folders import load_config
+from bbq_torchrl.runs.prepare import config_fingerprint
 from bbq_torchrl.runs.train import build_trainer
 from bbq_torchrl.trainers import CheckpointDamagedError, CheckpointMismatchError
 

@@ -6,6 +6,7 @@ import shutil
 from pathlib import Path
 
 import pytest
+from tiny import without_drawing
 
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import run
@@ -13,19 +14,21 @@ from bbq_torchrl.runs.train import run
 from .trusted import DQN
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def kept(tmp_path_factory):
-    """A finished run with all that it takes to go on."""
+    """A finished run with everything that resuming needs."""
     folder = tmp_path_factory.mktemp("kept") / "run"
-    run(compose([*DQN, "protocol.keep_checkpoints=last"]), folder)
+    with without_drawing():
+        run(compose([*DQN, "protocol.keep_checkpoints=last"]), folder)
     return folder
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def finished(tmp_path_factory):
     """A finished run as it is by default: its weights are left."""
     folder = tmp_path_factory.mktemp("finished") / "run"
-    run(compose(DQN), folder)
+    with without_drawing():
+        run(compose(DQN), folder)
     return folder
 
 

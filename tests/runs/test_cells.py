@@ -46,6 +46,8 @@ CELLS |= {
     ),
 }
 
+NAMED = ("agent", "explore", "env", "intrinsic", "agent.target", "agent.features")
+
 pytestmark = pytest.mark.usefixtures("without_curves")
 
 
@@ -70,7 +72,16 @@ def trained(config, folder):
     return run(config, folder, [keep]), learned
 
 
-@pytest.mark.parametrize("cell", CELLS)
+def daily_or_nightly():
+    """Each agent, strategy, environment and reward once a day, the other cells nightly."""
+    met = set()
+    for name, choices in CELLS.items():
+        chosen = {choice for choice in choices if choice.partition("=")[0] in NAMED}
+        yield pytest.param(name, marks=() if chosen - met else pytest.mark.slow)
+        met |= chosen
+
+
+@pytest.mark.parametrize("cell", daily_or_nightly())
 def test_a_cell_trains_at_once_or_resumed_bitwise_the_same_and_evaluates(cell, composed, tmp_path):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     config = composed(*CELLS[cell])

@@ -118,25 +118,27 @@ def test_a_scripted_policy_is_evaluated_and_its_dialogues_are_written(
     assert log.count("  success\n") + log.count("  failure\n") == 4
 
 
-def test_a_sweep_trains_each_agent_with_its_own_exploration_where_its_recipe_says(tmp_path):
+def test_a_sweep_trains_each_agent_with_its_own_exploration_and_goes_on(tmp_path):
     sweep = (  # the default launcher is tested, slowly, in test_launchers.py
-        "--multirun hydra/launcher=basic +experiment/table1=full_bbqn_map,full_dqn",
-        *(*SMALL, "protocol.rounds=1", "replicas=1"),
+        "--multirun hydra/launcher=basic agent=bbqn,dqn agent.lr=.01,-1",
+        *(*SMALL, "protocol.rounds=1"),
         "+hydra.callbacks.keep._target_=runs.returned.KeepReturned",
-        f"hydra.sweep.dir={tmp_path / 'sweep'}",
+        *(f"hydra.sweep.dir={tmp_path / 'sweep'}", "hydra.sweep.subdir=${hydra.job.num}"),
     )
-    folders = [tmp_path / "sweep" / "full" / agent / "seed0" for agent in ("bbqn_map", "dqn")]
+    folders = [tmp_path / "sweep" / job for job in ("0", "2")]
     made = []
     for _ in range(2):  # what is finished is left as it is
-        train(*sweep, cwd=tmp_path)
+        _, table = train(*sweep, cwd=tmp_path, code=1)
+        assert table.startswith("2 of 4 runs")
         results = [read_result(folder) for folder in folders]
-        assert [result.explore for result in results] == ["thompson", "epsilon_greedy"]
+        assert [result.explore for result in results] == ["thompson_boltzmann", "epsilon_greedy"]
         returned = [float((folder / "returned.txt").read_text()) for folder in folders]
         assert returned == [result.success_rate for result in results]
         made.append([(folder / "config.yaml").stat().st_mtime_ns for folder in folders])
-        for folder in folders:
-            (folder / "returned.txt").unlink()
     assert made[0] == made[1]
+    for refused in ("1", "3"):
+        assert not (tmp_path / "sweep" / refused / "config.yaml").exists()
+        assert "agent.lr" in (tmp_path / "sweep" / refused / "train.log").read_text()
 
 
 def test_jobs_find_a_domain_from_where_the_sweep_began(restaurant_folder, tmp_path):
@@ -156,10 +158,10 @@ def test_a_loss_that_is_not_finite_stops_the_run_with_its_state_saved(tmp_path):
     assert not (tmp_path / "run" / "result.json").exists()
 
 
-def test_help_shows_groups_and_pairs_without_importing_torch(tmp_path):
+def test_help_shows_groups_and_keys_without_importing_torch(tmp_path):
     out, imported = forked.python("-X", "importtime", TRAIN, "--help", cwd=tmp_path)
-    assert "agent=dqn        explore=epsilon_greedy (default)" in out
-    assert "experiment=" in out
+    assert "agent=" in out
+    assert "protocol:" in out
     assert "hydra" in imported
     assert "torch" not in imported.replace("bbq_torchrl", "")
     assert not list(tmp_path.iterdir())

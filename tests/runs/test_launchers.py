@@ -6,13 +6,9 @@ import importlib.util
 
 import forked
 import pytest
-from prepared import prepare
 from tiny import TINY
 
-from bbq_torchrl.runs.compose import compose, compose_raw, session
-from bbq_torchrl.runs.resume import restarted_config, save_config
-from bbq_torchrl.settings import ConfigError
-from bbq_torchrl.utils.extras import install_command
+from bbq_torchrl.runs.compose import compose_raw, session
 
 PLUGINS = {
     "cores": None,
@@ -47,7 +43,7 @@ def test_a_job_that_fails_leaves_the_others_alone_and_is_named(launcher, tmp_pat
     )
     finished = sorted(file.parent.name for file in (tmp_path / "sweep").glob("*/result.json"))
     assert finished == ["1_dqn_epsilon_greedy_full_seed0", "3_bbqn_thompson_boltzmann_full_seed0"]
-    assert "2 of 4 runs in sweep are finished" in err
+    assert f"2 of 4 runs in {tmp_path / 'sweep'} are finished" in err
     for failed in ("0_dqn_epsilon_greedy_full_seed0", "2_bbqn_thompson_boltzmann_full_seed0"):
         line = next(line for line in err.splitlines() if line.startswith(failed))
         assert "agent.lr=1e+30" in line  # as Hydra writes it
@@ -61,25 +57,3 @@ def test_a_sweep_runs_on_all_cores_with_a_thread_a_job_by_default():
     assert composed.hydra.launcher._target_.endswith(".JoblibLauncher")
     assert composed.hydra.launcher.n_jobs == -1
     assert composed.threads == 1
-
-
-def test_a_launcher_without_its_package_or_program_is_refused(monkeypatch, tmp_path):
-    monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("PATH", "")
-    command = ["--multirun", "hydra/launcher=slurm"]
-    if importlib.util.find_spec("hydra_plugins.hydra_submitit_launcher") is not None:
-        with pytest.raises(ConfigError, match="hydra/launcher=slurm needs the program sbatch"):
-            prepare(command)
-    else:
-        _, err = forked.python(forked.ROOT / "train.py", *command, cwd=tmp_path, code=2)
-        assert f"needs a package that is missing: {install_command('slurm')}" in err
-    assert not list(tmp_path.iterdir())
-
-
-def test_a_job_that_a_launcher_starts_again_goes_on_in_its_folder(tmp_path):
-    config = compose(["agent=bbqn", "agent.prior_std=.07", "agent.lr=1e-3"])
-    assert restarted_config(config, tmp_path).resume is None
-    save_config(config, tmp_path / "config.yaml")
-    assert restarted_config(config, tmp_path).resume == str(tmp_path)
-    with pytest.raises(ConfigError, match="already holds another run"):
-        restarted_config(compose(["agent=bbqn", "seed=1"]), tmp_path)

@@ -1,4 +1,4 @@
-"""Sweeps on a Ray cluster of two nodes on this machine: a node killed, and the head killed."""
+"""A sweep on a Ray cluster of two nodes on this machine, one of which is killed."""
 
 from __future__ import annotations
 
@@ -11,8 +11,6 @@ import time
 import forked
 import pytest
 from tiny import TINY, rows
-
-from bbq_torchrl.runs.cluster import PATIENCE
 
 pytestmark = [
     pytest.mark.slow,
@@ -66,23 +64,10 @@ def test_a_sweep_survives_a_killed_node_with_the_results_of_one_process(cluster,
     cluster.remove_node(node, allow_graceful=False)  # by SIGKILL
     _, err = process.communicate(timeout=60 * MINUTES)
     assert process.returncode == 0, err
-    assert "12 of 12 runs in sweep are finished" in err
+    assert "12 of 12 runs in" in err
     (tmp_path / "one").mkdir()
     forked.python(forked.ROOT / "train.py", *JOBS, "hydra/launcher=basic", cwd=tmp_path / "one")
     alone = sorted((tmp_path / "one" / "sweep").glob("*/metrics.csv"))
     assert len(alone) == 12
     for file in alone:
         assert rows(tmp_path / "ray" / "sweep" / file.parent.name / file.name) == rows(file)
-
-
-def test_a_sweep_whose_head_is_killed_ends_with_its_table_and_a_sentence(cluster, tmp_path):
-    address = cluster.address
-    process = start(cluster, tmp_path / "ray")
-    wait_for_a_result(process, tmp_path / "ray")
-    cluster.head_node.kill_gcs_server(check_alive=False)
-    _, err = process.communicate(timeout=4 * PATIENCE)
-    assert process.returncode == 1
-    assert "of 12 runs in sweep are finished" in err
-    last = err.strip().splitlines()[-1]
-    assert last.startswith(f"error: the head of the Ray cluster, {address}, is gone: ")
-    assert last.endswith("the same command with hydra.sweep.dir=sweep continues once it is back")

@@ -39,7 +39,13 @@ def evaluated(*given):
     return evaluate.evaluation(evaluate.composed(given))
 
 
-@pytest.mark.parametrize("name", shipped.shipped_agents())
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(name, marks=() if name == "bbqn_map" else pytest.mark.slow)
+        for name in shipped.shipped_agents()
+    ],
+)
 def test_a_shipped_agent_does_what_its_result_says(name):
     line = evaluated(f"policy=shipped:{name}", "dialogues=500", "batch=500")
     result = read_result(shipped.SHIPPED / name)

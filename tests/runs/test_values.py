@@ -74,7 +74,13 @@ def trained(config, folder):
     return [parameter.detach().clone() for parameter in trainer.learner.optimizer.parameters], plain
 
 
-@pytest.mark.parametrize("case", CASES)
+DAILY = ("BBQN-MC", "DQN", "VIME-MC, Boltzmann")
+
+
+@pytest.mark.parametrize(
+    "case",
+    [pytest.param(case, marks=() if case in DAILY else pytest.mark.slow) for case in CASES],
+)
 def test_a_replica_trains_bitwise_as_where_all_have_its_value(case, composed, tmp_path):
     choices, values = CASES[case]
     choices += " replicas=2"
