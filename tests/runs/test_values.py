@@ -117,5 +117,5 @@ def test_results_say_which_replica_had_which_value(finished):
     assert line["values_per_replica"] == [entry["values"] for entry in per_replica]
     groups = read_groups([finished])
     assert [len(group.final) for group in groups] == [1] * 4
-    assert groups[1].label == "Soft BBQN-MAP, agent.lr=0.002, agent.prior_std=0.05"
+    assert groups[1].label == "Soft BBQN-MAP, agent.lr=0.002"
     assert (finished / "curve.png").read_bytes().startswith(b"\x89PNG")
