@@ -165,17 +165,8 @@ class ReplicaReplay:
                 :func:`~bbq_torchrl.data.validate_transitions`). Nothing is stored then.
             KeyError: if the rows lack one of the keys.
         """
-        if len(rows) != self.replicas or getattr(rows, "ndim", 2) < 2:
-            raise ValueError(
-                f"rows must be a list of {self.replicas} TensorDicts, one for each replica, got "
-                f"{type(rows).__name__} of {len(rows)}"
-            )
-        missing = [key for key in self.keys if any(td.get(key, None) is None for td in rows)]
-        if missing:
-            raise KeyError(
-                f"the rows lack {missing[0]!r}, one of the replay's keys: pass keys=[...] that "
-                "they have"
-            )
+        if len(rows) != self.replicas:
+            raise ValueError(f"rows must be of {self.replicas} replicas, got {len(rows)}")
         selected = [td.select(*self.keys) for td in rows]
         for replica, td in enumerate(selected):
             validate_transitions(td, name=f"replica {replica}")
@@ -203,21 +194,10 @@ class ReplicaReplay:
         for buffer in self.buffers:
             buffer.writer.protect()
 
-    def drop_protected(self, replica: int) -> None:
-        """Removes the protected transitions of one replica."""
-        buffer = self.buffers[replica]
-        if buffer.writer.protected:
-            self._computed.clear()
-            index = buffer.writer.oldest_first().to(self._device)
-            rest = buffer.storage.get(index).select(*self.stored_keys)
-            buffer.empty(empty_write_count=False)
-            if len(rest):
-                buffer.extend(rest)
-
     def compute(self, key: NestedKey, function: Callable[[TensorDictBase], Tensor]) -> None:
         """Computes an entry of every stored transition, which epochs return with the stored ones.
 
-        It stays until it is computed again, or until transitions are stored or dropped. So values
+        It stays until it is computed again, or until transitions are stored. So values
         that are the same for every batch, such as those of a frozen network, are computed once,
         and by few large matrix products instead of many small ones.
 

@@ -70,12 +70,6 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
         self.check_room()
         self.protected = self._cursor = len(self._storage)
 
-    def oldest_first(self) -> torch.Tensor:
-        """Returns the indices of the unprotected rows, oldest first, shape [rows]."""
-        # Until the storage is full, the cursor is at its end, and roll changes nothing.
-        index = torch.arange(self.protected, len(self._storage))
-        return index.roll(self.protected - self._cursor)
-
     def add(self, data: TensorDictBase) -> torch.Tensor:
         """Writes one row and returns its index, shape []."""
         return self.extend(data.unsqueeze(0))[0]

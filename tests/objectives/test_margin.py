@@ -110,6 +110,3 @@ def test_a_replay_marks_its_protected_rows_in_whatever_order_they_come():
     for batch in (*replay.epoch(3), *next(replay.batches(3, 4))):
         seen = batch.transitions
         assert torch.equal(seen["protected"], (seen["action"] < 7) & seen["valid"])
-    replay.drop_protected(0)
-    marks = torch.cat([batch.transitions["protected"] for batch in replay.epoch(3)], -1)
-    assert marks.sum(-1).tolist() == [0, 2]
