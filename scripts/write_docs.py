@@ -21,6 +21,7 @@ sys.path.insert(0, str(ROOT))  # so that `python scripts/write_docs.py` finds it
 from scripts.docs_blocks import BLOCKS, draw_figures  # noqa: E402
 from scripts.docs_blocks.config import option_files  # noqa: E402
 
+_NOTES = ROOT / "results" / "NOTES.md"
 _BLOCK = re.compile(r"(<!-- begin: (?P<name>[\w.-]+) -->\n).*?(<!-- end: (?P=name) -->)", re.DOTALL)
 
 Block = Callable[[], str]
@@ -28,8 +29,7 @@ Block = Callable[[], str]
 
 def pages() -> list[Path]:
     """Returns the pages that may contain blocks."""
-    notes = ROOT / "results" / "NOTES.md"
-    return [ROOT / "README.md", notes, *sorted((ROOT / "docs").rglob("*.md"))]
+    return [ROOT / "README.md", _NOTES, *sorted((ROOT / "docs").rglob("*.md"))]
 
 
 def rewrite(text: str, known: Mapping[str, Block], *, page: str = "the page") -> str:
@@ -43,7 +43,10 @@ def rewrite(text: str, known: Mapping[str, Block], *, page: str = "the page") ->
         name = match["name"]
         if name not in known:
             raise ValueError(f"{page} has the unknown block {name!r}; known are {sorted(known)}")
-        return f"{match[1]}\n{known[name]().strip()}\n\n{match[3]}"
+        text = known[name]().strip()
+        if page == _NOTES.name:
+            text = text.replace("](figures/", "](../docs/figures/")
+        return f"{match[1]}\n{text}\n\n{match[3]}"
 
     if len(re.findall("<!-- begin: ", text)) != len(_BLOCK.findall(text)):
         raise ValueError(f"{page} has a block that is not closed by an end of the same name")

@@ -59,9 +59,8 @@ def _table() -> str:
     for room in house:
         text = importlib.import_module(f"{PACKAGE}.{room}").__doc__ or ""
         holds = text.partition("\n\n")[0].replace("\n", " ").replace("``", "`").rstrip(".")
-        imported = ", ".join(other for other in house if house.has_edge(room, other))
-        rows.append((height.get(room, "–"), code(room), holds, imported or "–"))
-    return table(("layer", "room", "holds", "imports"), rows)
+        rows.append((height.get(room, "–"), code(room), holds))
+    return table(("layer", "room", "holds"), rows)
 
 
 def draw_house() -> None:
