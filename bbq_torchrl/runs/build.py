@@ -92,7 +92,7 @@ def _check_checkpoint(folder: Path, config: Config) -> None:
     """Refuses to resume a run without a usable checkpoint, before its configuration changes."""
     if finished_result(folder, config.protocol.rounds) is not None:
         return  # only the curve may be missing
-    found = CheckpointFolder(folder / CHECKPOINTS).check(config_fingerprint(config), "replay")
+    found = CheckpointFolder(folder / CHECKPOINTS).newest(config_fingerprint(config), "replay")
     if not found and (folder / METRICS).exists():
         raise CheckpointDamagedError.gone(folder)
 

@@ -31,7 +31,7 @@ from torchrl.checkpoint import Checkpoint, CheckpointError, StateDictCheckpointA
 from bbq_torchrl.trainers.errors import CheckpointDamagedError, CheckpointMismatchError
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping
     from pathlib import Path
 
     from torch import nn
@@ -110,40 +110,69 @@ class CheckpointFolder:
                 old.unlink()
         return path
 
-    def newest(self) -> tuple[Path, dict[str, Any]] | None:
+    def newest(
+        self, config_fingerprint: Mapping[str, Any] | None = None, *components: str
+    ) -> tuple[Path, dict[str, Any]] | None:
         """Returns the newest readable checkpoint and its fingerprint, or None without checkpoints.
 
-        A warning names damaged checkpoints.
+        Nothing is loaded. A warning names damaged checkpoints.
+
+        Args:
+            config_fingerprint: settings that the checkpoint must have. Defaults to None: any.
+            *components: the components that it must contain, in addition to the folder's.
 
         Raises:
             CheckpointDamagedError: if every checkpoint is damaged, or the newest readable one lacks
                 a component.
+            CheckpointMismatchError: if the checkpoint has another seed or configuration.
         """
-        found, damages = self._newest(self._checkpoint.components)
-        for damage in damages:
-            _LOG.warning("checkpoint is damaged and not used: %s", damage)
-        if found is not None and damages:
-            _LOG.warning("using the previous checkpoint: %s", found[0])
-        return found
+        damages: list[str] = []
+        for path in self._files():
+            try:
+                manifest = _read_manifest(path)
+                saved = dict(manifest["metadata"])
+            except Exception as error:  # damage can raise any kind
+                if isinstance(error, FileNotFoundError) and not os.path.lexists(path):
+                    # the writing process has saved a newer one
+                    return self.newest(config_fingerprint, *components)
+                reason = " ".join(str(error).split()) or type(error).__name__
+                damages.append(f"{path.name}: {reason}")
+                continue
+            for damage in damages:
+                _LOG.warning("checkpoint is damaged, using the previous one: %s", damage)
+            parts = manifest["components"].keys()
+            if missing := {*components, *self._checkpoint.components} - parts:
+                raise CheckpointDamagedError(
+                    f"the checkpoint {path} has no {', '.join(sorted(missing))}, only "
+                    f"{', '.join(parts)}: to resume a run after its end, train it with "
+                    "protocol.keep_checkpoints=last"
+                )
+            for name, value in (config_fingerprint or {}).items():
+                if saved.get(name) != value:
+                    raise CheckpointMismatchError(
+                        f"{name} must be {saved.get(name)}, as in {path}, got {value}"
+                    )
+            return path, saved
+        if damages:
+            raise CheckpointDamagedError(
+                f"every checkpoint in {self.folder} is damaged ({'; '.join(damages)}): restore "
+                "a good one, or start a new run"
+            )
+        return None
 
-    def restore(self, config_fingerprint: Mapping[str, Any]) -> int | None:
-        """Restores all components from the newest readable checkpoint.
+    def restore(self, config_fingerprint: Mapping[str, Any] | None = None) -> int | None:
+        """Restores all components from the checkpoint that :meth:`newest` finds.
 
         Args:
-            config_fingerprint: settings that the checkpoint must have.
+            config_fingerprint: as in :meth:`newest`, with the same errors.
 
         Returns:
             the number of finished rounds, or None without checkpoints.
-
-        Raises:
-            CheckpointDamagedError: as in :meth:`newest`.
-            CheckpointMismatchError: if the checkpoint has another seed or configuration.
         """
-        found = self.newest()
+        found = self.newest(config_fingerprint)
         if found is None:
             return None
-        path, saved = found
-        _compare(path, saved, config_fingerprint)
+        path, _ = found
         try:
             self.load(path)
         except FileNotFoundError:
@@ -151,24 +180,6 @@ class CheckpointFolder:
                 raise
             return self.restore(config_fingerprint)  # the writing process has saved a newer one
         return _rounds_of(path)
-
-    def check(self, config_fingerprint: Mapping[str, Any], *components: str) -> bool:
-        """Checks the newest readable checkpoint like :meth:`restore`; returns whether one exists.
-
-        Nothing is loaded or logged.
-
-        Args:
-            config_fingerprint: as in :meth:`restore`.
-            *components: the components that it must contain.
-
-        Raises:
-            CheckpointDamagedError: as in :meth:`newest`.
-            CheckpointMismatchError: if the checkpoint has another seed or configuration.
-        """
-        found, _ = self._newest(components)
-        if found is not None:
-            _compare(*found, config_fingerprint)
-        return found is not None
 
     def load(self, path: Path) -> None:
         """Restores all components from a checkpoint that :meth:`newest` returned.
@@ -220,36 +231,6 @@ class CheckpointFolder:
         for path in [*self.folder.glob(".*.torchrl.*"), *self.folder.glob(f"{_REDUCED}.torchrl")]:
             shutil.rmtree(path) if path.is_dir() else path.unlink()
 
-    def _newest(
-        self, components: Iterable[str]
-    ) -> tuple[tuple[Path, dict[str, Any]] | None, list[str]]:
-        """Returns the newest readable checkpoint with its fingerprint, and damaged newer ones."""
-        damages: list[str] = []
-        for path in self._files():
-            try:
-                manifest = _read_manifest(path)
-                fingerprint = dict(manifest["metadata"])
-            except Exception as error:  # damage can raise any kind
-                if isinstance(error, FileNotFoundError) and not os.path.lexists(path):
-                    return self._newest(components)  # the writing process has saved a newer one
-                reason = " ".join(str(error).split()) or type(error).__name__
-                damages.append(f"{path.name}: {reason}")
-                continue
-            missing = set(components) - manifest["components"].keys()
-            if missing:
-                raise CheckpointDamagedError(
-                    f"the checkpoint {path} has no {', '.join(sorted(missing))}, only "
-                    f"{', '.join(manifest['components'])}: to resume a run after its end, train it "
-                    "with protocol.keep_checkpoints=last"
-                )
-            return (path, fingerprint), damages
-        if damages:
-            raise CheckpointDamagedError(
-                f"every checkpoint in {self.folder} is damaged ({'; '.join(damages)}): restore "
-                "a good one, or start a new run"
-            )
-        return None, []
-
     def _files(self) -> list[Path]:
         """Returns the checkpoints of finished rounds, newest first."""
         if not self.folder.is_dir():
@@ -282,15 +263,6 @@ def _read_manifest(path: Path) -> dict[str, Any]:
         if any(record["files"] != [file] for record in records):
             raise ValueError("its manifest lists files that belong to no checkpoint")
     return manifest
-
-
-def _compare(path: Path, saved: Mapping[str, Any], expected: Mapping[str, Any]) -> None:
-    """Raises CheckpointMismatchError for the first setting that differs."""
-    for name, value in expected.items():
-        if saved.get(name) != value:
-            raise CheckpointMismatchError(
-                f"{name} must be {saved.get(name)}, as in the checkpoint {path}, got {value}"
-            )
 
 
 def _fsync(path: Path) -> None:

@@ -115,7 +115,7 @@ def restored(trainer, folder):
     built, fingerprint = trainer
     built.checkpoints.folder = folder
     try:
-        built.checkpoints.check(fingerprint, "replay")
+        built.checkpoints.newest(fingerprint, "replay")
         rounds = built.checkpoints.restore(fingerprint)
     except (CheckpointDamagedError, CheckpointMismatchError):
         return None, None

@@ -37,7 +37,7 @@ def save(folder, *rounds: int):
 def restored(folder) -> float:
     """The number of the round whose weights are restored."""
     net = network()
-    CheckpointFolder(folder, network=net).restore({})
+    CheckpointFolder(folder, network=net).restore()
     (weight,) = net.weight.unique().tolist()
     return weight
 
@@ -45,7 +45,7 @@ def restored(folder) -> float:
 def test_the_last_two_are_kept_and_the_newest_is_restored_with_its_fingerprint(tmp_path):
     assert CheckpointFolder(tmp_path / "absent").newest() is None
     folder = CheckpointFolder(tmp_path, network=network())
-    assert folder.restore({}) is None
+    assert folder.restore() is None
     save(tmp_path, 0, 10, 20)
     folder.save(25, {}, name="failed-round-000025")  # outside the rotation
 
@@ -149,7 +149,7 @@ def test_a_pickle_in_an_archive_is_never_loaded(tmp_path, as_tensordict):
     plant(saved, marker, as_tensordict=as_tensordict)
 
     with pytest.raises(CheckpointDamagedError):
-        CheckpointFolder(saved.parent, network=network()).restore({})
+        CheckpointFolder(saved.parent, network=network()).restore()
     assert not marker.exists()
 
     if not as_tensordict:
@@ -166,10 +166,10 @@ def test_a_checkpoint_of_another_training_is_refused(tmp_path):
         with pytest.raises(CheckpointMismatchError, match=next(reversed(other))):
             folder.restore(other)
         with pytest.raises(CheckpointMismatchError):
-            folder.check(other, "network")
+            folder.newest(other, "network")
     other = CheckpointFolder(tmp_path, network=nn.Linear(5, 2))
     with pytest.raises(CheckpointMismatchError, match="network"):
-        other.restore({})
+        other.restore()
 
 
 def test_a_checkpoint_that_vanishes_while_it_is_opened_means_the_next_one(tmp_path, monkeypatch):
@@ -220,7 +220,7 @@ def test_what_is_kept_of_a_finished_run_is_read_but_not_gone_on_from(tmp_path):
     assert CheckpointFolder(tmp_path).newest()[1] == {"seed": 7}
     assert restored(tmp_path) == 3
     with pytest.raises(CheckpointDamagedError, match="buffer"):
-        folder.restore({})
+        folder.restore()
 
 
 @pytest.mark.parametrize("is_killed", [True, False])
