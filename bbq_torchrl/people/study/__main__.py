@@ -16,7 +16,7 @@ from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.people.study.address import EVERYWHERE, Address, listen
+from bbq_torchrl.people.study.address import Address, listen
 from bbq_torchrl.people.study.plan import StudyError, data_of, load_study
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.extras import needed
@@ -25,11 +25,7 @@ from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     import argparse
-    import socket
     from collections.abc import Callable, Sequence
-
-    from bbq_torchrl.people.dialogue import Talker
-    from bbq_torchrl.people.study.plan import Study
 
 TALKER = "bbq_torchrl.people.study.players:make_talker"
 USERS = "bbq_torchrl.people.study.players:make_users"
@@ -51,10 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _parser() -> argparse.ArgumentParser:
-    parser = output.Parser(
-        prog="bbq study",
-        description=f"A human study.\nSee {page('people')}",
-    )
+    parser = output.Parser(prog="bbq study", description=f"A human study.\nSee {page('people')}")
     commands = parser.add_subparsers(
         required=True, metavar="serve | simulate | report | participants | backup | forget | power"
     )
@@ -62,64 +55,47 @@ def _parser() -> argparse.ArgumentParser:
     def add(name: str, run: Callable[[argparse.Namespace], None], meaning: str) -> Any:
         command = commands.add_parser(name, help=meaning)
         command.set_defaults(command=run)
+        if name != "power":
+            command.add_argument("study", type=_path, help="the study file; its data is next to it")
+        if name in ("serve", "simulate"):
+            talker = "module:function that makes the talker of a study; by default of run folders"
+            command.add_argument("--talker", default=TALKER, help=talker)
+        if name in ("simulate", "report", "participants"):
+            command.add_argument(
+                "--out", type=_path, help="where; by default beside the study file"
+            )
+        if name in ("simulate", "power"):
+            seed = between(int, 0, 2**32 - 1)
+            command.add_argument("--seed", type=seed, default=0, help="the random seed")
         return command
 
     serve = add("serve", _serve, "serve a study to browsers")
-    serve.add_argument("study", type=_path, help="the study file; its data is next to it")
-    serve.add_argument(
-        "--talker",
-        default=TALKER,
-        help="module:function that makes the talker of a study, bbq_torchrl.people.study.Talker; "
-        "unless given, the agents are run folders",
-    )
     serve.add_argument("--host", default="127.0.0.1", help="address to listen at")
-    serve.add_argument(
-        "--port", type=between(int, 1, 65_535), default=8000, help="port to listen at"
-    )
+    port = between(int, 1, 65_535)
+    serve.add_argument("--port", type=port, default=8000, help="port to listen at")
 
-    meaning = "play the study with simulated users, and report it as such"
+    meaning = "play the study with simulated users, in files named -simulated, and report it"
     simulate = add("simulate", _simulate, meaning)
-    simulate.add_argument(
-        "study", type=Path, help="the study file; all that is made has -simulated in its name"
-    )
-    simulate.add_argument("--talker", default=TALKER, help="as of serve")
-    simulate.add_argument(
-        "--users",
-        default=USERS,
-        help="module:function that makes the users of a study, see "
-        "bbq_torchrl.people.study.simulate; unless given, the simulator's, who speak the language "
-        "of the domain",
-    )
-    simulate.add_argument(
-        "--seed", type=between(int, 0, 2**32 - 1), default=0, help="the random seed"
-    )
-    simulate.add_argument("--out", type=_path, help="folder; without it, <study>-simulated-report")
+    users = "module:function that makes the users of a study; by default the simulator's"
+    simulate.add_argument("--users", default=USERS, help=users)
 
-    report = add("report", _report, "write report, figures and data")
-    meaning = "write who takes part, by the ids of the join link, to pay them"
-    participants = add("participants", _participants, meaning)
+    add("report", _report, "write report, figures and data")
+    add("participants", _participants, "write who takes part, by the ids of the join link")
     backup = add("backup", _backup, "copy the data, also while the study is served")
-    forget = add("forget", _forget, "delete all that a person said and rated")
-    for command in (report, participants, backup, forget):
-        command.add_argument("study", type=_path, help="the study file")
-    report.add_argument("--out", type=_path, help="folder; without it, <study>-report")
-    file = "file; without it, <study>-participants.csv"
-    participants.add_argument("--out", type=_path, help=file)
     backup.add_argument("copy", type=_path, help="the copy, a file that does not exist")
+    forget = add("forget", _forget, "delete all that a person said and rated")
     forget.add_argument("participant", help="the number on your page, or the person's link")
 
     power = add("power", _power, "how likely a study finds a difference")
-    power.add_argument("better", type=between(float, 0.001, 0.999), help="success of one agent")
-    power.add_argument("worse", type=between(float, 0.001, 0.999), help="success of the other")
+    rate, count = between(float, 0.001, 0.999), between(int, 1, 1_000)
+    power.add_argument("better", type=rate, help="success of one agent")
+    power.add_argument("worse", type=rate, help="success of the other")
     power.add_argument("people", type=between(int, 1, 100_000), help="people; each meets both")
-    power.add_argument(
-        "--sessions", type=between(int, 1, 50), default=1, help="of a person with each agent"
-    )
-    power.add_argument("--pairs", type=between(int, 1, 1_000), default=1, help="pairs declared")
-    how = "standard deviation between participants, in log-odds"
-    power.add_argument("--person-sd", type=between(float, 0.0, 10.0), default=1.0, help=how)
+    power.add_argument("--sessions", type=count, default=1, help="of a person with each agent")
+    power.add_argument("--pairs", type=count, default=1, help="pairs declared")
+    spread = "standard deviation between participants, in log-odds"
+    power.add_argument("--person-sd", type=between(float, 0.0, 10.0), default=1.0, help=spread)
     power.add_argument("--simulations", type=between(int, 100, 1_000_000), default=4_000)
-    power.add_argument("--seed", type=between(int, 0, 2**32 - 1), default=0)
     return parser
 
 
@@ -137,45 +113,29 @@ def _serve(given: argparse.Namespace) -> None:
         output.print_error(f"loading the agents {', '.join(study.terms.agents)} ...")
         talker = make(study)
         interruption.tell(lambda: "while serving", lambda: "the same command continues the study")
-        if given.host in EVERYWHERE and not study.terms.url:
-            output.print_error(
-                f"the links are for this machine; for people elsewhere set url in {given.study}"
+        import uvicorn
+
+        from bbq_torchrl.people.study.store import Store
+        from bbq_torchrl.people.study.web import JOIN, RESEARCHER, application
+
+        prints = {agent: talker.fingerprint(agent) for agent in study.terms.agents}
+        local, url = Address.local(given.host, given.port), study.terms.url
+        address = Address.of(url) if url else local
+        with closing(Store(study.data, study.terms, prints)) as store, suppress(KeyboardInterrupt):
+            _say(f"for people: {address.link(f'/join/{store.key(JOIN)}')}")
+            _say(f"for you: {address.link(f'/r/{store.key(RESEARCHER)}')}")
+            config = uvicorn.Config(
+                application(study, store, talker),
+                # The links are secret, so they must not be logged.
+                access_log=False,
+                log_level="warning",
+                server_header=False,
+                proxy_headers=False,
+                limit_concurrency=MAX_CONNECTIONS,
+                # Longer than people think, so that no message arrives as its connection closes.
+                timeout_keep_alive=120,
+                timeout_graceful_shutdown=10,
             )
-        _run(study, talker, listener, Address.local(given.host, given.port))
-
-
-def _run(study: Study, talker: Talker, listener: socket.socket, local: Address) -> None:
-    """Serves a study until it is interrupted.
-
-    Args:
-        study: the study.
-        talker: the agents.
-        listener: a listening socket.
-        local: its address, used if the study has no URL.
-    """
-    import uvicorn
-
-    from bbq_torchrl.people.study.store import Store
-    from bbq_torchrl.people.study.web import JOIN, RESEARCHER, application
-
-    prints = {agent: talker.fingerprint(agent) for agent in study.terms.agents}
-    with closing(Store(study.data, study.terms, prints)) as store:
-        address = Address.of(study.terms.url) if study.terms.url else local
-        _say(f"for people: {address.link(f'/join/{store.key(JOIN)}')}")
-        _say(f"for you: {address.link(f'/r/{store.key(RESEARCHER)}')}")
-        config = uvicorn.Config(
-            application(study, store, talker),
-            # The links are secret, so they must not be logged.
-            access_log=False,
-            log_level="warning",
-            server_header=False,
-            proxy_headers=False,
-            limit_concurrency=MAX_CONNECTIONS,
-            # Longer than people think, so that no message arrives as its connection closes.
-            timeout_keep_alive=120,
-            timeout_graceful_shutdown=10,
-        )
-        with suppress(KeyboardInterrupt):
             uvicorn.Server(config).run(sockets=[listener])
 
 
@@ -186,16 +146,12 @@ def _simulate(given: argparse.Namespace) -> None:
     from bbq_torchrl.people.study.simulate import simulate
 
     # A separate name: the study's data file is for participants.
-    given.study = _simulated(study.path)
+    path = study.path
+    given.study = path.with_name(f"{path.stem}-simulated{path.suffix}")
     study = replace(study, path=given.study)
     interruption.tell(lambda: "while simulating", lambda: "the same command continues it")
     simulate(study, make_talker(study), make_users(study), seed=given.seed, tell=_say)
     _report(given)
-
-
-def _simulated(path: Path) -> Path:
-    """Returns the path of a study's simulation."""
-    return path.with_name(f"{path.stem}-simulated{path.suffix}")
 
 
 def _function(option: str, name: str) -> Callable[..., Any]:
@@ -211,11 +167,7 @@ def _report(given: argparse.Namespace) -> None:
     from bbq_torchrl.people.study.outcomes import read_outcomes
     from bbq_torchrl.people.study.report import write_report
 
-    data, simulated = data_of(given.study), _simulated(given.study)
-    if not data.exists() and data_of(simulated).exists():
-        text = f"the study has not been served yet; its simulation: bbq study report {simulated}"
-        raise StudyError(str(data), [text])
-    outcomes = read_outcomes(data)
+    outcomes = read_outcomes(data_of(given.study))
     folder = given.out or given.study.with_name(f"{given.study.stem}-report")
     write_report(folder, outcomes)
     _say(f"{len(outcomes.sessions)} ended sessions: {folder / 'report.md'}")
@@ -226,9 +178,7 @@ def _participants(given: argparse.Namespace) -> None:
 
     file = given.out or given.study.with_name(f"{given.study.stem}-participants.csv")
     if file.suffix != ".csv":  # such as the study's data
-        raise StudyError(
-            "--out", [f"it must be a file that ends with .csv, got {shown(str(file))}"]
-        )
+        raise StudyError("--out", [f"it must end with .csv, got {shown(str(file))}"])
     people = export_participants(file, data_of(given.study))
     _say(f"{people} people: {file}; it tells who is who in the report, so keep them apart")
 

@@ -18,9 +18,6 @@ _PORTS = {"http": 80, "https": 443}
 _PAGES = ("/join", "/p", "/r", "/static")
 """The first parts of the paths of a study's pages."""
 
-EVERYWHERE = ("", "0.0.0.0", "::")
-"""Hosts by which a server listens on all addresses of its machine."""
-
 
 @dataclass(frozen=True)
 class Address:

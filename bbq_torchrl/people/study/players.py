@@ -97,12 +97,11 @@ class AgentTalker:
             memory = None if state is None else Memory.from_json(state)
             answer = partner.reply(memory, text, seed)
             beliefs = partner.beliefs(memory, answer.understood, seed) if answer.acted else None
-        confidence = None if answer.reading is None else answer.reading.confidence
         return Reply(
             text=answer.text,
             understood=answer.understood,
             answered=answer.answered,
-            confidence=confidence,
+            confidence=answer.reading.confidence if answer.reading else None,
             ended=answer.ended in ("agent", "person"),  # the study counts turns itself
             state=answer.memory.to_json(),
             beliefs=beliefs,

