@@ -296,11 +296,12 @@ def kappa(by_person: Sequence[Sequence[tuple[bool, bool]]]) -> Estimate:
     return bootstrap(_kappa, by_person, [all_verdicts])
 
 
-def _kappa(verdicts: Any) -> float:
-    agreed = (verdicts[:, 0] == verdicts[:, 1]).mean()
-    one, other = verdicts.mean(0)
+def _kappa(verdicts: Any, counts: Any) -> Any:
+    total = counts.sum(-1)
+    agreed = counts @ (verdicts[:, 0] == verdicts[:, 1]) / total
+    one, other = (counts @ verdicts).T / total
     chance = one * other + (1 - one) * (1 - other)
-    return float((agreed - chance) / (1 - chance)) if chance < 1 else math.nan
+    return (agreed - chance) / (1 - chance)
 
 
 def auroc(by_person: Sequence[Sequence[tuple[float, bool]]]) -> Estimate:
@@ -316,18 +317,15 @@ def auroc(by_person: Sequence[Sequence[tuple[float, bool]]]) -> Estimate:
     return bootstrap(_auroc, by_person, [[(math.inf, True)], [(-math.inf, True)]])
 
 
-def _auroc(sessions: Any) -> float:
-    scores, has_failed = sessions.T
-    failures = has_failed.sum()
-    successes = len(sessions) - failures
-    if not failures or not successes:
-        return math.nan
-    wins = stats.rankdata(scores) @ has_failed - failures * (failures + 1) / 2
-    return float(wins / (failures * successes))
+def _auroc(sessions: Any, counts: Any) -> Any:
+    scores, has_failed = sessions[:, 0], sessions[:, 1] == 1
+    wins = (np.sign(np.subtract.outer(scores[has_failed], scores[~has_failed])) + 1) / 2
+    failures, successes = counts[:, has_failed], counts[:, ~has_failed]
+    return ((failures @ wins) * successes).sum(-1) / (failures.sum(-1) * successes.sum(-1))
 
 
 def bootstrap(
-    statistic: Callable[[Any], float],
+    statistic: Callable[[Any, Any], Any],
     by_person: Sequence[Sequence[tuple[float, float]]],
     doubtful: Sequence[Sequence[tuple[float, float]]],
     resamples: int = 2_000,
@@ -335,26 +333,35 @@ def bootstrap(
     """Returns a statistic with its 95 % percentile bootstrap interval over participants.
 
     Args:
-        statistic: from the values of sessions, shape [sessions, 2]; NaN if they do not define it.
+        statistic: from the values of sessions, shape [sessions, 2], and from how often each is
+            drawn, shape [samples, sessions], to [samples]; NaN where it is undefined.
         by_person: the values of each participant's sessions.
         doubtful: participants who are added if all resamples are equal, such as those of a few
             sessions that all agree: they give the interval a width.
         resamples: the number of bootstrap samples.
     """
     people = [person for person in by_person if person]
-    value = statistic(np.array([*chain(*people)], dtype=float)) if people else math.nan
-    if math.isnan(value) or len(people) < 2:
-        return Estimate(value, spec=".2f")
-    for drawn_from in (people, [*people, *doubtful]):
-        count = len(drawn_from)
-        sessions = np.array([*chain(*drawn_from)], dtype=float)
-        whose = np.repeat(range(count), [len(person) for person in drawn_from])
-        times = np.random.default_rng(0).multinomial(count, [1 / count] * count, resamples)
-        drawn = [statistic(np.repeat(sessions, row[whose], axis=0)) for row in times]
-        low, high = np.nanquantile(drawn, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]).tolist()
-        if high - low > ROUNDING:
-            break
+    if not people:
+        return Estimate(math.nan)
+    with np.errstate(invalid="ignore"):
+        value = float(statistic(*_sessions(people, np.ones((1, len(people)))))[0])
+        if math.isnan(value) or len(people) < 2:
+            return Estimate(value, spec=".2f")
+        for drawn_from in (people, [*people, *doubtful]):
+            count = len(drawn_from)
+            times = np.random.default_rng(0).multinomial(count, [1 / count] * count, resamples)
+            drawn = statistic(*_sessions(drawn_from, times))
+            ends = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
+            low, high = np.nanquantile(drawn, ends).tolist()
+            if high - low > ROUNDING:
+                break
     return Estimate(value, min(low, value), max(high, value), ".2f")
+
+
+def _sessions(people: Sequence[Sequence[tuple[float, float]]], times: Any) -> tuple[Any, Any]:
+    """Returns the values of all sessions, and how often each is drawn when people are."""
+    whose = np.repeat(range(len(people)), [len(person) for person in people])
+    return np.array([*chain(*people)], dtype=float), times[:, whose]
 
 
 def sign_flip(differences: Sequence[Fraction]) -> float:

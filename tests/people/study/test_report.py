@@ -92,7 +92,7 @@ def test_a_warning_is_told_from_what_comes_with_length(fill):
         assert re.search(rf"\| {agent} \| 4 \| 1.00 \[.+\] \| 0.50 \[.+\] \| 1.00 \[.+\] \|", text)
 
 
-@pytest.mark.parametrize("people", [[(5, 1)] * 3, [(5, 5), (5, 1), (4, 5)], [(1, 5), (5, 4)]])
+@pytest.mark.parametrize("people", [[(5, 1)] * 3, [(1, 5), (5, 4)]])
 def test_no_interval_leaves_its_scale_or_claims_certainty(fill, people):
     outcomes = fill(people)
     [pair], text = compare_pairs(outcomes), str(report(outcomes))
@@ -115,12 +115,10 @@ def test_flagged_people_are_shown_and_counted(fill):
     assert [pair.success.people for pair in compare_pairs(outcomes)] == [3]
 
 
-def test_a_report_of_no_session_says_so(fill, tmp_path):
+def test_a_report_of_no_session_or_one_agent_says_so(fill, study, tmp_path):
     write_report(tmp_path / "out", fill([]))
     assert "No session has ended yet" in (tmp_path / "out" / "report.md").read_text()
-
-
-def test_a_report_of_one_agent_tests_nothing(fill, study):
+    study.data.unlink()
     terms = replace(study.terms, agents={"secret-dqn": "x"}, pairs=(), sessions=1)
     assert "No pair was declared" in str(report(fill([(5,), (3,)], terms=terms)))
 

@@ -7,7 +7,7 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
-from scipy import special, stats
+from scipy import stats
 
 from bbq_torchrl.people.study.outcomes import power
 from bbq_torchrl.utils.statistics import (
@@ -35,16 +35,6 @@ def test_sessions_of_one_person_are_averaged_first():
     assert proportion(sessions) == participant_mean([[1.0]] * 12 + [[0.0]] * 8, (0, 1))
 
 
-def test_the_interval_of_a_proportion_holds_the_truth_also_where_people_differ():
-    rng = np.random.default_rng(0)
-    held, studies = 0, 300
-    for _ in range(studies):
-        rates = special.expit(rng.normal(0, 1.5, 30))
-        found = proportion((rng.random((30, 4)) < rates[:, None]).tolist())
-        held += found.low <= 0.5 <= found.high
-    assert held / studies > 0.95 - 4.5 * math.sqrt(0.95 * 0.05 / studies)
-
-
 def test_nothing_has_no_estimate():
     assert str(proportion([])) == str(participant_mean([[], []], (1, 5))) == "–"
     assert str(participant_mean([[4.0, 5.0]], (1, 5))) == "4.50"
@@ -66,16 +56,7 @@ def test_a_mean_at_its_bounds_has_the_interval_of_two_more_people(values):
     assert found.low <= found.value <= found.high
 
 
-def test_the_interval_of_a_mean_near_its_bound_holds_the_truth():
-    rng = np.random.default_rng(0)
-    studies, ratings = 1_000, np.array([5.0, 4.0, 2.0])
-    drawn = rng.choice(ratings, p=[0.8, 0.15, 0.05], size=(studies, 6))
-    intervals = [participant_mean(row[:, None].tolist(), (1, 5)) for row in drawn]
-    held = sum(item.low <= 4.7 <= item.high for item in intervals)
-    assert held / studies > 0.95 - 4.5 * math.sqrt(0.95 * 0.05 / studies)
-
-
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_sign_flips_are_scipys_permutations(seed):
     rng = np.random.default_rng(seed)
     values = [Fraction(int(v), 6) for v in rng.integers(-6, 9, size=12)]
