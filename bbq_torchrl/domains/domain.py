@@ -235,13 +235,11 @@ def _fields(domain: Domain) -> Iterator[tuple[str, str]]:
         if not getattr(domain, key):
             yield key, f"{key} must have at least one entry, got none"
     if both := {*domain.extension_order} & {*domain.essential}:
-        text = f"extension_order must not contain essential slots, got {sorted(both)}"
-        yield "extension_order", text
+        yield "extension_order", f"extension_order must have no essential slot, got {sorted(both)}"
     known = {action.slot for action in domain.actions if action.kind in ACTION_KINDS[2:]}
     known |= {*domain.error_values, *(slot for record in domain.records for slot in record)}
     if known <= {*domain.free_slots}:
-        text = "free_slots must leave a slot that constrains the records, got all that have values"
-        yield "free_slots", text
+        yield "free_slots", "free_slots must leave a slot that constrains the records, got all"
     if (ticket := domain.ticket_slot) == domain.complete_slot:
         yield "complete_slot", f"complete_slot must not be the ticket_slot, got {ticket!r} for both"
     for key in ("ticket_slot", "complete_slot"):
@@ -249,8 +247,7 @@ def _fields(domain: Domain) -> Iterator[tuple[str, str]]:
             if (slot := getattr(domain, key)) not in (members := getattr(domain, group)):
                 yield key, f"{key} must be among {group}, {slot!r} is not in {list(members)}"
     if wrong := {*domain.opening_slots} & {*domain.special_slots}:
-        text = f"opening_slot must not be the ticket or the complete slot, got {sorted(wrong)}"
-        yield "opening_slot", text
+        yield "opening_slot", f"opening_slot must be an ordinary slot, got {sorted(wrong)}"
 
 
 def _names(domain: Domain) -> Iterator[tuple[str, str]]:
@@ -272,27 +269,20 @@ def _names(domain: Domain) -> Iterator[tuple[str, str]]:
     for slot in domain.slots:
         # "all" and the turn's "0", "1", ... are names of features.
         if not re.fullmatch(r"\w+", slot) or slot == "all" or slot.isdigit():
-            yield (
-                "slots",
-                "slots must consist of letters, digits and underscores, not of digits alone, and "
-                f"must not be 'all', got {shown(slot)}",
-            )
+            text = f"slots must be letters, digits or _, no number, not 'all', got {shown(slot)}"
+            yield "slots", text
 
 
 def _actions(domain: Domain) -> Iterator[tuple[str, str]]:
     names = domain.action_names
     kinds = [ACTION_KINDS.index(action.kind) for action in domain.actions]
     if kinds != sorted(kinds):
-        yield (
-            "actions",
-            "actions must be slotless acts, then requests, informs and multiple choices, got "
-            + ", ".join(names),
-        )
+        order = "slotless acts, then requests, informs and multiple choices"
+        yield "actions", f"actions must be {order}, got {', '.join(names)}"
     if (offer := f"inform({domain.complete_slot})") not in names:
         yield "actions", f"actions must contain {offer}: without it nothing can be booked"
     if not {"thanks", "closing"} & {*names}:
-        text = "actions must contain thanks or closing: without them no dialogue succeeds"
-        yield "actions", text
+        yield "actions", "actions must contain thanks or closing: no dialogue succeeds otherwise"
     for action in domain.actions:
         yield from (("actions", f"action {action} {text}") for text in _action(domain, action))
 
@@ -311,8 +301,8 @@ def _action(domain: Domain, action: Action) -> Iterator[str]:
 def _policy(domain: Domain, name: str, policy: ScriptedPolicySpec) -> Iterator[str]:
     key = f"policies.{name}"
     if name in ("", RANDOM_POLICY, PRIVILEGED_POLICY):
-        reserved = f"{RANDOM_POLICY} or {PRIVILEGED_POLICY}"
-        yield f"policies must not have an empty name or the name {reserved}, got {name!r}"
+        reserved = f"{RANDOM_POLICY} and {PRIVILEGED_POLICY}"
+        yield f"policies must have names other than {reserved}, not empty, got {name!r}"
     if not policy.steps:
         yield f"{key} must have at least one step, got none"
     requests = [f"request({slot})" for slot in policy.steps if slot in domain.slots]

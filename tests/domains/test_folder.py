@@ -124,7 +124,7 @@ WRITTEN = [
     (YAML, "", ["None"]),
     (YAML, "a: [", [YAML]),
     (YAML, "a: " + "[" * 50_000, [YAML]),
-    (YAML, f"a: [&a0 [x, x], {BOMB}]", ["aliases"]),
+    (YAML, f"a: [&a0 [x, x], {BOMB}]", []),
     (YAML, "!!python/object/apply:os.system [touch marker]", [YAML]),
     (CSV, "", ["header"]),
     (CSV, "area,day\n", ["records"]),
@@ -150,7 +150,7 @@ def test_a_change_that_damages_a_file_is_refused(folder, name, old, new, named):
     assert all(text in told for text in [name, *named])
 
 
-@pytest.mark.parametrize(("name", "text", "named"), WRITTEN)
+@pytest.mark.parametrize(("name", "text", "named"), WRITTEN, ids=lambda value: str(value)[:20])
 def test_a_file_of_another_form_is_refused(folder, name, text, named):
     (folder / name).write_text(text)
     told = refusal(folder)
@@ -257,14 +257,11 @@ def test_the_spelling_that_most_places_have_is_the_one_to_write(folder):
     assert "'italian', which never matches 'italian '" in refusal(folder)
 
 
-TEXTS = f"{YAML} {CSV} {GOALS} {VALUES} errors.json language.yaml learned.txt"
-
-
-@pytest.mark.parametrize("name", TEXTS.split())
-def test_a_byte_order_mark_is_no_part_of_a_file_of_a_domain(movie, tmp_path, name):
+def test_a_byte_order_mark_is_no_part_of_a_file_of_a_domain(movie, tmp_path):
     folder = shutil.copytree(movie.folder, tmp_path / "domain")
-    text = (folder / name).read_text(encoding="utf-8")
-    (folder / name).write_text(text, encoding="utf-8-sig")
+    for name in (YAML, CSV, GOALS, VALUES, "errors.json", "language.yaml", "learned.txt"):
+        text = (folder / name).read_text(encoding="utf-8")
+        (folder / name).write_text(text, encoding="utf-8-sig")
     domain = load_domain(folder)
     assert replace(domain, folder=movie.folder) == movie
     assert load_phrases(domain) == load_phrases(movie)
