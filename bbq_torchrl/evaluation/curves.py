@@ -33,22 +33,24 @@ class Metrics:
         replicas: number of replicas.
 
     Raises:
-        ValueError: no complete round, rows that are not in order, or a number that is missing.
+        ValueError: no complete round, rows that are not in order, or a missing column or number.
     """
 
     def __init__(self, rows: Sequence[Mapping[str, float]]) -> None:
-        self.replicas = max(1, sum(row["round"] == 0 for row in rows))
+        self.replicas = max(1, sum(row.get("round") == 0 for row in rows))
         self.rounds = len(rows) // self.replicas
         if self.rounds == 0:
-            raise ValueError("there is no complete round")
+            raise ValueError("it has no complete round")
         complete = rows[: self.rounds * self.replicas]
+        if missing := [name for name in _NEEDED if name not in rows[0]]:
+            raise ValueError(f"it must have the column {missing[0]}, got {', '.join(rows[0])}")
         table = np.array([[*row.values()] for row in complete], dtype=float)
         table = table.reshape(self.rounds, self.replicas, -1)
         self.columns = {name: table[..., place] for place, name in enumerate(rows[0])}
         expected = np.ogrid[: self.rounds, : self.replicas]
         for name, numbers in zip(("round", "replica"), expected, strict=True):
             if not (self[name] == numbers).all():
-                raise ValueError("there must be a row for each round and replica, in order")
+                raise ValueError("it must have a row for each round and replica, in order")
         if not np.isfinite([self[name] for name in _NEEDED]).all():
             raise ValueError(f"{', '.join(_NEEDED)} must be numbers")
 
@@ -74,11 +76,11 @@ def read_metrics(folder: Path) -> Metrics:
     file = folder / METRICS
     if not file.is_file():
         raise ValueError(f"{folder} has no {METRICS}: it is not a run folder")
-    complete, *_ = file.read_text(encoding="utf-8-sig").rpartition("\n")
     try:
+        complete, *_ = file.read_text(encoding="utf-8-sig").rpartition("\n")
         rows = csv.DictReader(complete.splitlines(), restval="?")  # a missing cell is no number
         return Metrics([numbers(row) for row in rows])
-    except (ValueError, TypeError, KeyError) as error:
+    except (ValueError, TypeError) as error:
         raise ValueError(f"{file} is damaged: {error}") from error
 
 

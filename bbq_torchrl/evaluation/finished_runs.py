@@ -184,7 +184,10 @@ def read_runs(folder: Path) -> list[Replica]:
         ValueError: a file is missing or damaged, or the files belong to different runs.
     """
     if (folder / RUNS).is_file():
-        return [*_read_table(folder)]
+        try:
+            return [*_read_table(folder)]
+        except (ValueError, LookupError, TypeError, EOFError, lzma.LZMAError) as error:
+            raise ValueError(f"the table in {folder} is damaged: {sentence(error)}") from error
     result, metrics = read_result(folder), read_metrics(folder)
     try:
         config = read_yaml((folder / CONFIG).read_text(encoding="utf-8"))

@@ -183,3 +183,16 @@ def test_the_table_of_an_experiment_is_read_as_its_runs_are(add, tmp_path):
         for name, column in own.metrics.columns.items():
             np.testing.assert_array_equal(kept.metrics[name], column)
     assert [len(group.final) for group in read_groups([tmp_path / "table"])] == [4, 2]
+
+
+@pytest.mark.parametrize("name", ["runs.json", "metrics.csv.xz"])
+def test_a_damaged_table_is_refused_by_name(add, tmp_path, name):
+    folder = add([0.5])
+    (folder / ".hydra").mkdir()
+    (folder / ".hydra" / "overrides.yaml").write_text("- seed=1\n")
+    keep_result.keep(folder, tmp_path / "table", "run")
+    file = tmp_path / "table" / name
+    for content in (file.read_bytes()[:80], b"{}"):
+        file.write_bytes(content)
+        with pytest.raises(ValueError, match="table"):
+            read_runs(tmp_path / "table")
