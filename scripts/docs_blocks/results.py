@@ -84,6 +84,10 @@ QUANTITIES = {"final": "end", "early": f"first {EARLY:,}", "cumulative": "all of
 """Quantity of a pairing -> its column."""
 
 
+README_AGENTS = ("BBQN-MAP", "DQN-Bootstrap", "DQN-Boltzmann", "DQN")
+"""The agents of the README's figure."""
+
+
 def cells(name: str, env: str) -> dict[str, Group]:
     """Returns the runs of Table 1's agents in an environment, in the paper's order."""
     of_env = labeled(one for one in groups(name) if one.first.env == env)
@@ -327,6 +331,9 @@ def draw_figures() -> None:
         # Scripted policies were measured in the full domain only.
         played_in = ("movie", "reference") if env == "full" else None
         _save(_curves(panels, f"Table 1, {title.lower()}", played_in), f"table1_{env}")
+        if env == "full":
+            few = [of_env[agent] for agent in README_AGENTS]
+            _save(_curves({"": few}, "Training success in the full domain", played_in), "readme")
     for name, (title, *played_in) in EXPERIMENTS.items():
         if name != "no_spike":  # without any success
             _save(_curves({"": groups(name)}, title, tuple(played_in)), name)
