@@ -98,10 +98,4 @@ class MiuLabDomain(DomainOption):
         """Reads the files."""
         from bbq_torchrl.domains import load_miulab
 
-        return load_miulab(
-            self.path,
-            goals=self.goals,
-            kb=self.kb,
-            values=self.values,
-            skip_unusable=self.skip_unusable,
-        )
+        return load_miulab(**{key: value for key, value in vars(self).items() if key != "name"})

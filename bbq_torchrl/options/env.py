@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule
-    from bbq_torchrl.simulator import Channel, Profile
+    from bbq_torchrl.simulator import Channel
 
 
 @dataclass
@@ -122,9 +122,7 @@ class FullDomain(EnvOption):
 
     name: str = option("full")
     slot_error_prob: float | None = setting(
-        None,
-        optional(PROBABILITY, "the domain's calibrated difficulty"),
-        "probability of an error in an informed slot",
+        None, optional(PROBABILITY, "the domain's"), "probability of an error in an informed slot"
     )
     slot_error_mode: str = setting(
         "value", one_of("value", "slot", "delete", "mixed"), "effect of an error on a slot"
@@ -133,12 +131,12 @@ class FullDomain(EnvOption):
     level: str = setting(
         "act",
         one_of("act", "text"),
-        "users' output: dialogue acts, or (for evaluation only) sentences that the nlu understands",
+        "users' output: dialogue acts, or, in evaluations only, sentences",
     )
     errors: str = setting(
         "drawn",
         one_of("drawn", "measured"),
-        "errors in dialogue acts: drawn with the probabilities above, or as measured in sentences",
+        "errors in dialogue acts: drawn with the probabilities, or as measured in sentences",
     )
     ask_below: float | None = setting(
         None,
@@ -155,58 +153,37 @@ class FullDomain(EnvOption):
 
     def check(self) -> None:
         """Refuses invalid users, and error rates of users whose errors have another source."""
-        has_rates = any(kind.slot_error_prob for kind in self._profiles())
+        if isinstance(self.users, str):
+            return
+        from bbq_torchrl.simulator.profiles import profiles_of
+
+        try:
+            has_rates = any(kind.slot_error_prob for kind in profiles_of(self.users))
+        except ValueError as error:
+            raise ConfigError(f"env.{error}") from error
         if has_rates and (self.level == "text" or self.errors == "measured"):
             raise ConfigError(
                 "env.users must have no slot_error_prob with env.level=text or env.errors=measured"
             )
 
-    def _profiles(self, domain: Domain | None = None) -> tuple[Profile, ...]:
-        """Returns the profiles of the users; none for a mix by name.
-
-        Raises:
-            ConfigError: a profile is invalid, or the domain lacks a slot of it.
-        """
-        if isinstance(self.users, str):
-            return ()
-        from bbq_torchrl.simulator.profiles import check_slots, profiles_of
-
+    def check_domain(self, domain: Domain | None) -> None:
+        """Refuses measured errors without counts, and slots of users or extension not there."""
         try:
-            profiles = profiles_of(self.users)
-            if domain is not None:
-                check_slots(profiles, domain.slots)
-        except ValueError as error:
-            raise ConfigError(f"env.{error}") from error
-        return profiles
-
-    def _channel(self, domain: Domain) -> Channel | None:
-        """Returns the error channel between user and tracker; None: the default of drawn errors.
-
-        Raises:
-            ConfigError: a file of the domain or a package is missing.
-        """
-        self.check()
-        self._profiles(domain)
-        try:
-            if self.level == "text":
-                from bbq_torchrl.envs.text_channel import text_channel
-
-                return text_channel(domain, self.ask_below)
+            self.make(domain, (1,))
         except ModuleNotFoundError as error:
             raise ConfigError(f"env.level=text cannot be played: {error}") from error
-        if self.errors == "drawn":
-            return None
-        from bbq_torchrl.simulator.measured_errors import load_errors
 
-        try:
+    def _channel(self, domain: Domain) -> Channel | None:
+        """Returns the error channel between user and tracker; None: the default of drawn errors."""
+        if self.level == "text":
+            from bbq_torchrl.envs.text_channel import text_channel
+
+            return text_channel(domain, self.ask_below)
+        if self.errors == "measured":
+            from bbq_torchrl.simulator.measured_errors import load_errors
+
             return load_errors(domain)
-        except ValueError as error:
-            raise ConfigError(str(error)) from error
-
-    def check_domain(self, domain: Domain | None) -> None:
-        """Refuses measured errors for a domain without counts, and users' unknown slots."""
-        assert domain is not None
-        self._channel(domain)
+        return None
 
     def steps(self) -> int:
         """Half of ``max_turn``, which counts both sides, and one more act of the agent."""
@@ -245,21 +222,16 @@ class FullDomain(EnvOption):
         from bbq_torchrl.envs import DialogueEnv
 
         assert domain is not None
+        keys = ("slot_error_prob", "slot_error_mode", "intent_error_prob", "max_turn", "users")
+        rewards = ("success_reward", "failure_reward", "turn_reward")
         return DialogueEnv(
             domain,
             batch_size=tuple(batch_size),
-            slot_error_prob=self.slot_error_prob,
-            slot_error_mode=self.slot_error_mode,  # type: ignore[arg-type]
-            intent_error_prob=self.intent_error_prob,
-            max_turn=self.max_turn,
-            success_reward=self.success_reward,
-            failure_reward=self.failure_reward,
-            turn_reward=self.turn_reward,
             schedule=self.schedule(),
+            channel=self._channel(domain),
             seed=seed,
             device=device,
-            channel=self._channel(domain),
-            users=self.users,
+            **{name: getattr(self, name) for name in (*keys, *rewards)},
         )
 
 
@@ -280,12 +252,6 @@ class DomainExtension(FullDomain):
         from bbq_torchrl.envs import ExtensionSchedule
 
         return ExtensionSchedule(start=self.start, every=self.every)
-
-    def check_domain(self, domain: Domain | None) -> None:
-        """Also refuses a slot that the agent has actions for and that no round adds."""
-        super().check_domain(domain)
-        assert domain is not None
-        self.schedule().never_active(domain)
 
     def inactive(self, env: EnvBase) -> tuple[Tensor, Tensor]:
         """The features and actions of slots that are not active in the first round."""

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, ClassVar
 
 from bbq_torchrl.options.registry import Option, register
-from bbq_torchrl.options.task import over_replicas
+from bbq_torchrl.options.task import keywords
 from bbq_torchrl.settings import (
     COUNT,
     COUNTS,
@@ -61,9 +61,7 @@ class VIME(IntrinsicOption):
 
     name: str = option("vime")
     eta: Values = setting(
-        0.1,
-        per_replica(NON_NEGATIVE),
-        "factor of the normalized information gain, in units of reward",
+        0.1, per_replica(NON_NEGATIVE), "factor of the information gain, in units of reward"
     )
     weights: str = setting(
         "map", one_of("map", "mc"), "information gain at the mean weights, or at a weight draw"
@@ -72,9 +70,7 @@ class VIME(IntrinsicOption):
     prior_std: float = setting(0.1, POSITIVE, "std of the prior of the dynamics' weights")
     noise_std: float = setting(1.0, POSITIVE, "std of the standardized next state")
     std_floor: float = setting(0.05, POSITIVE, "lower bound of the std that divides a feature")
-    step_size: float = setting(
-        0.01, POSITIVE, "size of the second-order step whose information gain is measured"
-    )
+    step_size: float = setting(0.01, POSITIVE, "size of the second-order step that is measured")
     clip: float = setting(10.0, POSITIVE, "upper bound of the normalized information gain")
     median_window: int = setting(10, integers(1, 10**6), "rounds of the normalizing median")
     dynamics_every: int = setting(8, COUNT, "updates of Q for each update of the dynamics")
@@ -86,26 +82,12 @@ class VIME(IntrinsicOption):
         from bbq_torchrl.networks.growth import reset_inactive_
         from bbq_torchrl.vime import DynamicsLoss, DynamicsModel, VIMEReward, vime_losses
 
-        dynamics = DynamicsModel(
-            task.inputs,
-            task.actions,
-            self.hidden,
-            replicas=task.replicas,
-            prior_std=self.prior_std,
-            noise_std=self.noise_std,
-            std_floor=self.std_floor,
-            device=task.device,
-        )
+        model = keywords(self, task, "prior_std", "noise_std", "std_floor")
+        dynamics = DynamicsModel(task.inputs, task.actions, self.hidden, **task.place, **model)
         if task.inactive_inputs is not None and task.inactive_actions is not None:
             # The outputs are not reset: that a feature is constant can be learned beforehand.
             inactive = torch.cat([task.inactive_inputs, task.inactive_actions])
             reset_inactive_(dynamics.network, inputs=inactive)
-        reward = VIMEReward(
-            dynamics,
-            eta=over_replicas(self.eta, task),
-            weights=self.weights,  # type: ignore[arg-type]
-            step_size=self.step_size,
-            median_window=self.median_window,
-            clip=self.clip,
-        )
+        names = ("eta", "weights", "step_size", "median_window", "clip")
+        reward = VIMEReward(dynamics, **keywords(self, task, *names))
         return vime_losses(loss, DynamicsLoss(dynamics, every=self.dynamics_every)), [reward]

@@ -11,20 +11,18 @@ from __future__ import annotations
 
 import importlib.util
 import os
-import sys
 from abc import abstractmethod
-from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from bbq_torchrl.options.registry import Option, register
 from bbq_torchrl.settings import ANY_TEXT, ConfigError, option, setting
 from bbq_torchrl.utils.extras import install_command, sqlite_url
-from bbq_torchrl.utils.files import is_utf8, write_text
-from bbq_torchrl.utils.text import sentence, shown
+from bbq_torchrl.utils.files import write_text
+from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
+    from collections.abc import Iterable, Mapping
     from pathlib import Path
 
     from torchrl.record.loggers import Logger
@@ -114,31 +112,16 @@ class TensorBoard(LoggerOption):
     package: ClassVar[str] = "tensorboard"
 
     def make(self, run_folder: Path, *, resume: bool = False) -> list[Logger]:
-        """Makes a logger that writes ``tensorboard/``.
-
-        Raises:
-            ConfigError: the folder's name is not UTF-8, which TensorBoard would misread.
-        """
+        """Makes a logger that writes ``tensorboard/``."""
         from torchrl.record.loggers.tensorboard import TensorboardLogger
 
-        folder = run_folder.resolve()
-        if not is_utf8(folder):
-            raise ConfigError(
-                "logger=tensorboard needs a run folder whose name is UTF-8, got "
-                f"{shown(str(folder))} in the encoding {sys.getfilesystemencoding()}: set a locale "
-                "of UTF-8, such as LC_ALL=C.UTF-8"
-            )
-        return [TensorboardLogger("tensorboard", str(folder))]
+        return [TensorboardLogger("tensorboard", str(run_folder.resolve()))]
 
     def log_config(self, loggers: Iterable[Logger], config: Mapping[str, Any]) -> None:
         """Logs the configuration as a text; as hyper-parameters it would be a separate run."""
         text = "\n".join(f"    {key}: {value}" for key, value in config.items())
         for logger in loggers:
             logger.experiment.add_text("config", text)
-
-
-_HOST = "https://api.wandb.ai"
-"""W&B's default server, whose key W&B also uses for its aliases."""
 
 
 @register
@@ -188,26 +171,6 @@ class WandB(LoggerOption):
         for logger in loggers:
             logger.experiment.finish(exit_code=int(not finished))
 
-    def check_ready(self) -> None:
-        """Refuses W&B without its package, or without a key unless it is offline."""
-        super().check_ready()
-        import wandb
-        from requests.utils import get_netrc_auth  # comes with wandb
-
-        if wandb.run is not None:
-            return  # W&B has started a run already, which teardown would end
-        try:
-            settings = wandb.setup().settings
-        finally:
-            wandb.teardown()  # jobs on other machines must not use the service of this one
-        is_offline = settings.mode in ("offline", "dryrun", "disabled")
-        given = settings.api_key or os.environ.get("WANDB_IDENTITY_TOKEN_FILE")
-        if not (is_offline or given or any(map(get_netrc_auth, (settings.base_url, _HOST)))):
-            raise ConfigError(
-                "logger=wandb needs an API key of W&B: run `wandb login`, set WANDB_API_KEY, or "
-                "log offline by WANDB_MODE=offline"
-            )
-
 
 _ADDRESS = "MLFLOW_TRACKING_URI"
 """MLflow's variable for the address of a server or database; MLflow also sets it."""
@@ -233,10 +196,10 @@ class MLFlow(LoggerOption):
         folder = run_folder.resolve()
         folder.mkdir(parents=True, exist_ok=True)
         given = os.environ.get(_ADDRESS)
-        with _unchanged(_ADDRESS, _POOL):
-            if not given:
-                os.environ[_POOL] = "NullPool"  # otherwise the database stays open after the run
-            logger = MLFlowLogger(self.experiment, given or sqlite_url(folder / "mlflow.db"))
+        os.environ.setdefault(_POOL, "NullPool")  # otherwise the database stays open after the run
+        logger = MLFlowLogger(self.experiment, given or sqlite_url(folder / "mlflow.db"))
+        if not given:
+            os.environ.pop(_ADDRESS, None)  # set by MLflow; the next run has another database
         mlflow.set_tag("mlflow.runName", folder.name)
         return [logger]
 
@@ -248,17 +211,3 @@ class MLFlow(LoggerOption):
         if not os.environ.get(_ADDRESS):
             default: Any = None  # accepted by MLflow, but not by its type hints
             mlflow.set_tracking_uri(default)
-
-
-@contextmanager
-def _unchanged(*names: str) -> Iterator[None]:
-    """Restores environment variables, which the next run in the process reads."""
-    before = {name: os.environ.get(name) for name in names}
-    try:
-        yield
-    finally:
-        for name, value in before.items():
-            if value is None:
-                os.environ.pop(name, None)
-            else:
-                os.environ[name] = value

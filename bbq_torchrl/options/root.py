@@ -143,10 +143,10 @@ def validate(config: Config | EvaluateConfig | CalibrateConfig) -> None:
         check_values(config.env, "env.")
         check_values(config.protocol, "protocol.")
     check_values(config)
+    for part in vars(config).values():
+        if isinstance(part, Option):
+            part.check()
     if isinstance(config, Config):
-        for part in vars(config).values():
-            if isinstance(part, Option):
-                part.check()
         for check in _AGREEMENTS.values():
             check(config)
 

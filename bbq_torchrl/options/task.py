@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Protocol
 from bbq_torchrl.settings import ConfigError, Values, walk
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     import torch
     from torch import Tensor, nn
@@ -201,19 +201,3 @@ def replica_column(value: Values, task: Task) -> float | Tensor:
 def annealed_rounds(fraction: float, task: Task) -> int:
     """Returns the length of a schedule in rounds, at least 1."""
     return max(1, round(fraction * task.rounds))
-
-
-def keys_with_lists(schemas: Mapping[str, Mapping[str, type]]) -> list[str]:
-    """Returns the distinct dotted keys that can have a list.
-
-    Args:
-        schemas: group -> name -> option.
-    """
-    found = {
-        f"{group}.{item.name}": None
-        for group, options in schemas.items()
-        for schema in options.values()
-        for item in fields(schema)
-        if item.metadata["allowed"].per_replica
-    }
-    return list(found)

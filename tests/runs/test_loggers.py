@@ -264,39 +264,3 @@ def test_each_job_of_a_process_is_a_run_of_the_real_package(
     elif name == "mlflow":
         assert databases == [f"a%23b#c?d {{e}} é/job_{number}/mlflow.db" for number in range(3)]
     assert len(list(tmp_path.iterdir())) == 1 + ("MLFLOW_TRACKING_URI" in given)
-
-
-@pytest.mark.slow
-def test_a_run_of_wandb_without_a_key_is_refused_before_it_begins(tmp_path, monkeypatch):
-    needs("wandb")
-    for name in [name for name in os.environ if name.startswith("WANDB")]:
-        monkeypatch.delenv(name)
-    monkeypatch.delenv("NETRC", raising=False)
-    monkeypatch.setenv("HOME", str(tmp_path))
-    for arguments in (RUN, ["--multirun", *RUN, "seed=0,1"]):
-        out, told = forked.python(
-            forked.ROOT / "train.py",
-            *(*arguments, "logger=wandb"),
-            cwd=tmp_path,
-            code=1 if "--multirun" in arguments else 2,
-        )
-        assert "WANDB_MODE=offline" in out + told
-        assert not list(tmp_path.rglob("metrics.csv"))
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("given", ["WANDB_API_KEY", "netrc", "WANDB_MODE"])
-def test_wandb_is_ready_with_a_key_or_offline(given, tmp_path, monkeypatch):
-    needs("wandb")
-    monkeypatch.setenv("HOME", str(tmp_path))
-    for name in ("WANDB_API_KEY", "WANDB_MODE", "NETRC"):
-        monkeypatch.delenv(name, raising=False)
-    key = "0123456789" * 4
-    if given == "netrc":
-        (tmp_path / ".netrc").write_text(f"machine api.wandb.ai login user password {key}\n")
-    else:
-        monkeypatch.setenv(given, "offline" if given == "WANDB_MODE" else key)
-    program = (
-        "from bbq_torchrl.options import schemas; schemas()['logger']['wandb']().check_ready()"
-    )
-    forked.python("-c", program, cwd=tmp_path)
