@@ -8,12 +8,10 @@ import sys
 import forked
 import pytest
 import sweep
-import torch
 from deep_sea_agents import Settings
 from deep_sea_results import AGENT_NAMES, Line, append, read
-from deep_sea_training import DiveMemory, train
+from deep_sea_training import train
 from extended import EXAMPLES
-from tensordict import TensorDict
 
 EXAMPLE = EXAMPLES / "deep_sea"
 SMALL = Settings(hidden=(8,), heads=3, batch_size=4, capacity=20, updates_per_step=0.5)
@@ -55,29 +53,3 @@ def test_a_gaussian_process_with_drawn_targets_dives_deep():
     """Random dives find the treasure of N = 6 once in 64 times, so not in a tenth of 100."""
     for line in train("gp_draw", 6, replicas=3, episodes=100, seed=40):
         assert line.episodes_to_solve is not None
-
-
-def rows(first, steps):
-    values = torch.arange(first, first + steps, dtype=torch.float32)
-    reward = torch.stack([values, -values])[..., None]
-    one_hot = torch.eye(9)[torch.arange(first, first + steps) % 9].expand(2, steps, 9)
-    return TensorDict(
-        {"observation": one_hot, "next": {"observation": one_hot.flip(-1), "reward": reward}},
-        [2, steps],
-    )
-
-
-def test_memory_keeps_the_newest_and_gives_each_replica_its_own():
-    memory = DiveMemory(10)
-    for first in range(0, 28, 4):
-        memory.extend(rows(first, 4))
-    assert len(memory) == 10
-    sample = memory.sample(2000)
-    reward = sample["next", "reward"].squeeze(-1)
-    # Each of 10 rows is missing among 2000 with probability .9^2000.
-    assert reward[0].unique().tolist() == list(range(18, 28))
-    assert (-reward[1]).unique().tolist() == list(range(18, 28))
-    assert not torch.equal(reward[0], -reward[1])
-    assert sample["observation"].dtype == torch.float32
-    assert torch.equal(sample["observation"][0].argmax(-1), reward[0].long() % 9)
-    assert torch.equal(sample["next", "observation"], sample["observation"].flip(-1))

@@ -7,7 +7,6 @@ import importlib
 
 import pytest
 import torch
-from extended import SHRUNKEN
 from q_transitions import ACTIONS, FEATURES, transitions
 from tensordict import TensorDict
 from torch import nn
@@ -18,8 +17,6 @@ from torchrl.objectives import HardUpdate
 from bbq_torchrl.bayes import BayesMLP, weight_scope
 from bbq_torchrl.networks import q_actor
 from bbq_torchrl.networks.growth import reset_inactive_
-from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.runs.train import build_trainer
 
 pytestmark = pytest.mark.usefixtures("installed", "without_curves")
 
@@ -105,17 +102,6 @@ def test_langevin_noise_has_the_temperature_and_leaves_inactive_replicas_alone()
     assert everyone.std(1).tolist() == pytest.approx([0.02**0.5, 0.02**0.5, 0.0002**0.5], rel=0.03)
     assert not some[1].any()
     assert torch.equal(some[[0, 2]], everyone[[0, 2]])
-
-
-def test_langevin_noise_is_for_the_agent_and_not_for_the_model_of_an_intrinsic_reward(tmp_path):
-    trainer, agent = build_trainer(
-        compose(["agent=langevin", *SHRUNKEN, "intrinsic=vime"]), tmp_path
-    )
-    optimizer = trainer.learner.optimizer
-    pairs = zip(optimizer.parameters, optimizer.is_noisy, strict=True)
-    noisy = {id(parameter) for parameter, is_noisy in pairs if is_noisy}
-    assert noisy == {id(parameter) for parameter in agent.actor.parameters()}
-    assert len(optimizer.parameters) > len(noisy)
 
 
 @pytest.fixture

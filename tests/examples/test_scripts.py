@@ -76,12 +76,6 @@ def test_regression_saves_a_figure(tmp_path):
     assert out.read_bytes().startswith(b"\x89PNG")
 
 
-def test_a_regressions_uncertainty_grows_where_there_are_no_data(names_of):
-    example = names_of("regression")
-    net = example["train_bayesian"](*example["curve"](200), 300)
-    assert example["spread_ratio"](net) > 1.5
-
-
 def test_plateau_measures_the_values_of_the_last_actions_of_successes(names_of, tmp_path):
     example = names_of("plateau")
     trainer = example["spiked_trainer"]("kaiming", 0.1, 1, tmp_path)
