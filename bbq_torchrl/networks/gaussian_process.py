@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from math import pi, sqrt
+from math import pi
 from typing import TYPE_CHECKING, Literal, get_args
 
 import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from bbq_torchrl.bayes.functional import FlatLayout, as_rows, init_linear_, mlp
+from bbq_torchrl.bayes.functional import as_rows
 from bbq_torchrl.bayes.layers import BayesLayer
 from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.bayes.scope import WeightMode, current_scope, resolve_weight_mode
@@ -23,47 +23,6 @@ KERNEL = one_of(*get_args(Kernel))
 _ALL = slice(None)
 _ROWS_AT_ONCE = 512  # so that a kernel's passes over their features stay in a core's cache
 _JITTER = 1e-6  # on the diagonal of kernel matrices, which is 1
-
-
-class TrunkFeatures(nn.Module):
-    """The last hidden layer of a ReLU network, and a constant 1.
-
-    Args:
-        in_features: size of the input.
-        hidden: sizes of the hidden layers. Defaults to (256, 256).
-
-    Keyword Args:
-        replicas: leading shape. Defaults to ().
-        device: of the weights.
-
-    Attributes:
-        size: the number M of features.
-        trunk: parameter [*replicas, P].
-    """
-
-    def __init__(
-        self,
-        in_features: int,
-        hidden: Sequence[int] = (256, 256),
-        *,
-        replicas: int | Sequence[int] = (),
-        device: torch.device | str | None = None,
-    ) -> None:
-        super().__init__()
-        self.layout = FlatLayout((in_features, *hidden))
-        self.replicas = replica_shape(replicas)
-        self.in_features, self.size, self.rest = in_features, hidden[-1] + 1, 0
-        self.trunk = nn.Parameter(torch.empty(*self.replicas, self.layout.numel, device=device))
-        init_linear_(self.trunk, self.layout)
-
-    def forward(self, x: Tensor, replicas: slice = _ALL) -> tuple[Tensor, None]:
-        """Returns the features [L, rows, M] of states [L, rows, in], and no rest."""
-        weights = self.trunk.view(-1, self.layout.numel)[replicas]
-        return F.pad(mlp(x, weights, self.layout).relu(), (0, 1), value=1.0), None
-
-    def reset_inactive_(self, inputs: Tensor) -> None:
-        """Sets the weights of inactive inputs to 0."""
-        self.layout.unflatten(self.trunk)[0][0][..., inputs, :] = 0
 
 
 class StateFeatures(nn.Module):
@@ -162,9 +121,6 @@ class StateFeatures(nn.Module):
         own[: len(found)] = found
         whitening[: len(found), : len(found)] = inverse.mT
 
-    def reset_inactive_(self, inputs: Tensor) -> None:
-        """Does nothing: a feature that is 0 in all states does not change a kernel."""
-
 
 def _first_of_each(states: Tensor) -> Tensor:
     """Returns the first row of each different state in ``states`` [N, in], int64, in order."""
@@ -188,8 +144,7 @@ class GaussianProcess(BayesLayer):
     that a :func:`~bbq_torchrl.bayes.weight_scope` draws or sets: their posterior is N(0, 1), so all
     Thompson strategies work. The rest of :class:`StateFeatures` has weights p ε′ from the prior.
 
-    The initial posterior is the prior N(m_a, p²), with m_a = 0 for :class:`StateFeatures` and that
-    of ``nn.Linear`` for :class:`TrunkFeatures`. :class:`~bbq_torchrl.objectives.GPLoss` fits it.
+    The initial posterior is the prior N(0, p²). :class:`~bbq_torchrl.objectives.GPLoss` fits it.
 
     Args:
         features: maps states to features.
@@ -217,7 +172,7 @@ class GaussianProcess(BayesLayer):
 
     def __init__(
         self,
-        features: TrunkFeatures | StateFeatures,
+        features: StateFeatures,
         out_features: int,
         *,
         prior_std: float = 1.0,
@@ -239,42 +194,39 @@ class GaussianProcess(BayesLayer):
         self.features = features
         shape = (*self.replicas, out_features, self.size)
         self.mean = nn.Parameter(torch.zeros(shape, device=device))
-        if isinstance(features, TrunkFeatures):
-            nn.init.uniform_(self.mean, -1 / sqrt(self.size - 1), 1 / sqrt(self.size - 1))
         prior = prior_std * torch.eye(self.size, device=device)
         self.factor = nn.Parameter(prior.repeat(*shape[:-1], 1, 1), requires_grad=False)
 
     def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
-        """Sets the weights of inactive inputs to 0; inactive outputs have the prior's posterior.
+        """Does nothing: a constant 0 changes no kernel, and inactive outputs are at the prior.
 
         See :class:`bbq_torchrl.protocols.Growing`.
         """
-        self.features.reset_inactive_(inputs)
 
     def of_replica(self, replica: int) -> tuple[Tensor, Tensor]:
         """Returns mean [A, M] and factor [A, M, M] of a replica, views without gradient."""
         mean, factor = self._parts()
         return mean.detach()[replica], factor[replica]
 
-    def features_of(self, replica: int, states: Tensor) -> tuple[Tensor, Tensor | None]:
+    def features_of(self, replica: int, states: Tensor) -> tuple[Tensor, Tensor]:
         """Returns features [N, M] and rest [N, rest] of a replica for states [N, in]."""
         part = slice(replica, replica + 1)
         parts = [self.features(rows.unsqueeze(0), part) for rows in states.split(_ROWS_AT_ONCE)]
         phi, rest = zip(*parts, strict=True)
-        return torch.cat(phi, 1)[0], None if rest[0] is None else torch.cat(rest, 1)[0]
+        return torch.cat(phi, 1)[0], torch.cat(rest, 1)[0]
 
-    def deviation(self, replica: int, phi: Tensor, rest: Tensor | None) -> Tensor:
+    def deviation(self, replica: int, phi: Tensor, rest: Tensor) -> Tensor:
         """Returns what a draw of a replica's weights adds to the mean values, [N, A].
 
         Args:
             replica: the replica.
             phi: its features, [N, M].
-            rest: their rest, [N, rest], or None.
+            rest: their rest, [N, rest].
         """
         noise, noise_of_rest = self._split(phi.new_empty(self.posterior.mu.shape[-1]).normal_())
         _, factor = self.of_replica(replica)
         values = phi @ (factor.mT @ noise.unsqueeze(-1)).squeeze(-1).mT
-        return values if rest is None else values + self.prior_std * rest @ noise_of_rest.mT
+        return values + self.prior_std * rest @ noise_of_rest.mT
 
     def _parts(self) -> tuple[Tensor, Tensor]:
         """Returns mean [L, A, M] and factor [L, A, M, M]."""
@@ -308,9 +260,7 @@ class GaussianProcess(BayesLayer):
         draws = noise.shape[1]  # each for as many rows, one after the other
         drawn = mean.unsqueeze(1) + (noise.transpose(1, 2) @ factor).transpose(1, 2)
         values = phi.unflatten(1, (draws, -1)) @ drawn.mT
-        if rest is not None:
-            noise_of_rest = self.prior_std * noise_of_rest
-            values = values + rest.unflatten(1, (draws, -1)) @ noise_of_rest.mT
+        values = values + rest.unflatten(1, (draws, -1)) @ (self.prior_std * noise_of_rest).mT
         return self._shaped(values, x)
 
     def run_local(self, x: Tensor) -> Tensor:
@@ -318,7 +268,6 @@ class GaussianProcess(BayesLayer):
         phi, rest = self.features(as_rows(x, self.replicas, self.in_features))
         mean, factor = self._parts()
         variance = (phi.unsqueeze(1) @ factor.mT).square().sum(-1).mT  # [L, rows, A]
-        if rest is not None:
-            variance = variance + self.prior_std**2 * rest.square().sum(-1, keepdim=True)
+        variance = variance + self.prior_std**2 * rest.square().sum(-1, keepdim=True)
         values = phi @ mean.mT
         return self._shaped(values + variance.sqrt() * torch.randn_like(values), x)

@@ -8,20 +8,16 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
-from bbq_torchrl.networks.gaussian_process import GaussianProcess, StateFeatures
+from bbq_torchrl.networks.gaussian_process import GaussianProcess
 from bbq_torchrl.networks.q_actor import legal_actions, masked
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 from bbq_torchrl.objectives.weighting import valid_rows
 from bbq_torchrl.settings import ABOVE_ZERO, at_least, check, one_of
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
-
     from tensordict import TensorDictBase
     from torchrl.data import TensorSpec
     from torchrl.modules import QValueActor
-
-    from bbq_torchrl.objectives.value_function import Inputs
 
 
 Target = Literal["mean", "draw"]
@@ -29,13 +25,11 @@ TARGET = one_of(*get_args(Target))
 
 
 class GPLoss(OneStepQLoss):
-    """The fit of a :class:`~bbq_torchrl.networks.GaussianProcess`, and the DQN loss of its trunk.
+    """The fit of a :class:`~bbq_torchrl.networks.GaussianProcess`.
 
     :meth:`fit` models the target of a transition as y = φ(s)·w_a + noise, with the prior
-    w_a ~ N(w₀, prior_std²). On a kernel's features w₀ is the posterior mean of a value that all
-    actions share, y = φ(s)·w₀ + noise with w₀ ~ N(0, value_std²). On a trunk's features w₀ is the
-    action's last layer, learned with the trunk by gradient: calls return the squared TD error at
-    the mean weights.
+    w_a ~ N(w₀, prior_std²). w₀ is the posterior mean of a value that all actions share,
+    y = φ(s)·w₀ + noise with w₀ ~ N(0, value_std²). Nothing is learned by gradient.
 
     Args:
         actor: an actor whose network is a :class:`~bbq_torchrl.networks.GaussianProcess`.
@@ -73,6 +67,8 @@ class GPLoss(OneStepQLoss):
         True
     """
 
+    only_fits = True
+
     def __init__(
         self,
         actor: QValueActor,
@@ -97,16 +93,6 @@ class GPLoss(OneStepQLoss):
             )
         # The actor's network, not a second submodule.
         (self.__dict__["network"],) = networks
-
-    @property
-    def only_fits(self) -> bool:
-        """True if nothing is learned by gradient, only by :meth:`fit`."""
-        return isinstance(self.network.features, StateFeatures)
-
-    def _predict(
-        self, tensors: Sequence[Tensor], inputs: Inputs
-    ) -> tuple[Tensor, dict[str, Tensor]]:
-        return self._function(tensors, inputs, "mean"), {}
 
     @torch.no_grad()
     def fit(self, tensordict: TensorDictBase) -> TensorDictBase:
@@ -156,26 +142,20 @@ class GPLoss(OneStepQLoss):
         index, action = rows["index"], rows["index"].squeeze(-1)
         # the values of the last fit, whose features are other ones
         values = network.features_of(replica, rows["after"])[0] @ mean.mT
-        prior, shared = mean.clone(), None  # [A, M], or [1, M] if all actions share it
-        if isinstance(network.features, StateFeatures):
-            network.features.choose_(rows["state"], replica)
+        network.features.choose_(rows["state"], replica)
         phi, _ = network.features_of(replica, rows["state"])
         phi_after, rest = network.features_of(replica, rows["after"])
         factor.copy_(posterior_factors(phi, action, len(mean), network.prior_std, std))
-        if self.only_fits:
-            nothing = torch.zeros_like(action)
-            shared = posterior_factors(phi, nothing, 1, self.value_std, std)
+        of_all = torch.zeros_like(action)
+        shared = posterior_factors(phi, of_all, 1, self.value_std, std)
         deviation: Tensor | float = 0.0
         if self.target == "draw":
             deviation = network.deviation(replica, phi_after, rest)
         for _ in range(self.sweeps):
             best = masked(values + deviation, rows.get("legal", None)).amax(-1, keepdim=True)
             target = rows["reward"] + gamma * torch.where(rows["terminated"], 0, best)
-            if shared is not None:
-                prior = posterior_means(shared, phi, nothing, target.squeeze(-1), std)
-            known = phi @ prior.mT
-            known = known.gather(-1, index) if shared is None else known
-            excess = (target - known).squeeze(-1)
+            prior = posterior_means(shared, phi, of_all, target.squeeze(-1), std)  # [1, M]
+            excess = (target - phi @ prior.mT).squeeze(-1)
             mean.copy_(prior + posterior_means(factor, phi, action, excess, std))
             values = phi_after @ mean.mT
         chosen = (phi @ mean.mT).gather(-1, index)

@@ -11,7 +11,7 @@ from torchrl.data import Categorical
 
 from bbq_torchrl.bayes import weight_scope
 from bbq_torchrl.networks import GaussianProcess, q_actor
-from bbq_torchrl.networks.gaussian_process import StateFeatures, TrunkFeatures
+from bbq_torchrl.networks.gaussian_process import StateFeatures
 from bbq_torchrl.objectives import GPLoss
 from bbq_torchrl.objectives.gp_loss import posterior_factors, posterior_means
 
@@ -116,13 +116,9 @@ def test_factors_and_means_are_those_of_one_regression_on_all_weights():
 
 
 @pytest.mark.parametrize("replicas", [(), (2,), (2, 3)])
-@pytest.mark.parametrize("kind", ["states", "trunk"])
-def test_draws_for_each_row_have_the_moments_of_weight_draws(kind, replicas):
+def test_draws_for_each_row_have_the_moments_of_weight_draws(replicas):
     """Both are draws of one Gaussian: each mean and variance within five standard errors."""
-    if kind == "states":
-        features = StateFeatures(FEATURES, 10, replicas=replicas)
-    else:
-        features = TrunkFeatures(FEATURES, (6,), replicas=replicas)
+    features = StateFeatures(FEATURES, 10, replicas=replicas)
     network, count = fitted(features, episodes(replicas=replicas)), 4_000
     state = torch.randn(FEATURES)
     with torch.no_grad():
@@ -145,22 +141,6 @@ def test_one_draw_for_all_rows_is_one_function():
         one_by_one = torch.cat([network(state[None]) for state in states])
     torch.testing.assert_close(at_once, one_by_one)
     assert (at_once - network(states, "mean")).abs().min() > 0
-
-
-def test_a_feature_that_comes_later_changes_no_value_before():
-    """The weights of a trunk's inactive inputs are 0, and a kernel does not see constants of 0."""
-    for features in (TrunkFeatures(FEATURES, (6,)), StateFeatures(FEATURES, 8)):
-        network = GaussianProcess(features, ACTIONS)
-        inactive = torch.tensor([False] * (FEATURES - 1) + [True])
-        with torch.no_grad():
-            network.reset_inactive_(inactive, torch.zeros(ACTIONS).bool())
-        x = torch.randn(4, FEATURES)
-        changed = x.clone()
-        changed[:, -1] = 1
-        if isinstance(features, TrunkFeatures):
-            torch.testing.assert_close(network(x, "mean"), network(changed, "mean"))
-        else:
-            assert not network(x, "mean").any()
 
 
 @pytest.mark.parametrize(

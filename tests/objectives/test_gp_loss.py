@@ -7,23 +7,17 @@ import torch
 from q_transitions import ACTIONS, FEATURES, REPLICAS, transitions
 from tensordict import TensorDict
 from torchrl.data import Categorical
-from torchrl.objectives import HardUpdate
 
 from bbq_torchrl.networks import FlatMLP, GaussianProcess, q_actor
-from bbq_torchrl.networks.gaussian_process import StateFeatures, TrunkFeatures
+from bbq_torchrl.networks.gaussian_process import StateFeatures
 from bbq_torchrl.objectives import GPLoss
 
 SPEC = Categorical(ACTIONS)
 
 
-def features(kind, replicas=()):
-    if kind == "states":
-        return StateFeatures(FEATURES, 16, replicas=replicas)
-    return TrunkFeatures(FEATURES, (8, 8), replicas=replicas)
-
-
-def gp_loss(kind="states", replicas=(), **settings):
-    return GPLoss(q_actor(GaussianProcess(features(kind, replicas), ACTIONS), SPEC), **settings)
+def gp_loss(replicas=(), **settings):
+    features = StateFeatures(FEATURES, 16, replicas=replicas)
+    return GPLoss(q_actor(GaussianProcess(features, ACTIONS), SPEC), **settings)
 
 
 def test_sweeps_are_value_iteration_where_every_state_is_known():
@@ -91,10 +85,9 @@ def test_drawn_targets_are_those_of_one_draw_in_all_sweeps():
     assert network.deviation(0, *phi_after).detach().std() > 0.1
 
 
-@pytest.mark.parametrize("kind", ["states", "trunk"])
 @pytest.mark.parametrize("target", ["mean", "draw"])
-def test_a_replica_is_fitted_bitwise_as_next_to_others_and_padding_is_left_out(kind, target):
-    loss, data = gp_loss(kind, (3,), target=target), transitions((3,), (50,))
+def test_a_replica_is_fitted_bitwise_as_next_to_others_and_padding_is_left_out(target):
+    loss, data = gp_loss((3,), target=target), transitions((3,), (50,))
     start = {name: value.clone() for name, value in loss.state_dict().items()}
     data["valid"] = torch.ones(3, 50).bool()
     torch.manual_seed(0)
@@ -114,48 +107,15 @@ def test_a_replica_is_fitted_bitwise_as_next_to_others_and_padding_is_left_out(k
 
 
 @pytest.mark.parametrize("replicas", REPLICAS)
-@pytest.mark.parametrize("kind", ["states", "trunk"])
-def test_each_replica_and_action_has_its_own_posterior(kind, replicas):
-    loss, data = gp_loss(kind, replicas), transitions(replicas, (4, 8))
+def test_each_replica_and_action_has_its_own_posterior(replicas):
+    loss, data = gp_loss(replicas), transitions(replicas, (4, 8))
     data["action"][data["action"] == 2] = 1
-    before = loss.network.mean.detach().clone()
     out = loss.fit(data)
     assert out["loss_value"].shape == replicas
-    mean, factor = loss.network.mean.detach(), loss.network.factor.detach()
+    factor = loss.network.factor.detach()
     prior = torch.eye(factor.shape[-1])
     assert torch.equal(factor[..., 2, :, :], prior.expand_as(factor[..., 2, :, :]))
     assert not torch.isclose(factor[..., 1, :, :], prior).all()
-    if kind == "trunk":  # the prior of an action without data is centered on its last layer
-        assert torch.equal(mean[..., 2, :], before[..., 2, :])
-
-
-def test_a_trunk_learns_as_a_dqn_does():
-    """The gradient of trunk and last layer is that of the same network as an MLP."""
-    loss, data = gp_loss("trunk"), transitions()
-    network, plain = loss.network, FlatMLP(FEATURES, ACTIONS, (8, 8))
-    with torch.no_grad():
-        plain.weight.copy_(
-            torch.cat(
-                [
-                    network.features.trunk,
-                    network.mean[:, :-1].mT.flatten(),
-                    network.mean[:, -1],
-                ]
-            )
-        )
-    HardUpdate(loss, value_network_update_interval=0).step()
-    loss(data)["loss"].backward()
-    values = plain(data["observation"]).gather(-1, data["action"].unsqueeze(-1))
-    legal = plain(data["next", "observation"]).masked_fill(~data["next", "action_mask"], -1e9)
-    ends = data["next", "terminated"]
-    target = data["next", "reward"] + 0.9 * legal.amax(-1, keepdim=True) * ~ends
-    (values - target.detach()).square().mean().backward()
-    layers = plain.layout.unflatten(plain.weight.grad)
-    trunk = torch.cat([part.flatten() for layer in layers[:-1] for part in layer])
-    torch.testing.assert_close(network.features.trunk.grad, trunk)
-    torch.testing.assert_close(network.mean.grad[:, :-1].mT, layers[-1][0])
-    torch.testing.assert_close(network.mean.grad[:, -1], layers[-1][1])
-    assert not loss.only_fits
 
 
 @pytest.mark.parametrize(
