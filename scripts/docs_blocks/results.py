@@ -65,7 +65,7 @@ EXPLORERS = {
 """Learner -> its runs in the experiment on explorers, the first of which is the reference."""
 
 ABLATIONS = (
-    {"draw_episode": "a draw an episode", "draw_round_shared": "a shared draw a round"},
+    {"draw_episode": "one draw per episode", "draw_round_shared": "one shared draw per round"},
     {"errors_0": "slot errors 0", "errors_.1": "slot errors .1", "errors_.2": "slot errors .2"},
     {f"kl_temperature_{value}": f"KL × {value}" for value in (".003", ".1", ".3", "1")},
     {f"prior_std_{value}": f"prior's std {value}" for value in (".01", ".1", ".3")},
