@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+import shlex
 from dataclasses import asdict
 
 import pytest
@@ -12,6 +14,7 @@ from bbq_torchrl.options.registry import options
 from bbq_torchrl.options.task import replica_values
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.folders import load_config, save_config
+from bbq_torchrl.settings import ConfigError
 
 RECIPES = {  # the paper's name, network, exploration, target, intrinsic reward
     "agents/dqn": ("DQN", "dqn", "epsilon_greedy", None, None),
@@ -101,3 +104,42 @@ def test_a_list_is_shared_out_among_the_replicas(tmp_path):
     save_config(config, tmp_path / "config.yaml")
     assert load_config(tmp_path / "config.yaml") == config
     assert replica_values(compose(["replicas=2"])) == [{}, {}]
+
+
+@pytest.mark.parametrize(
+    ("choices", "key"),
+    [
+        ("agent=bbqn explore=noisy", "explore"),
+        ("agent=dqn explore=noisy", "agent.noisy"),
+        ("agent=dqn agent.noisy=true agent.dropout=.5", "agent.dropout"),
+        ("agent.target=map agent.target_noise=shared", "agent.target_noise"),
+        ("agent.kl=sampled env=domain_ext", "agent.kl"),
+        ("agent=bootstrap agent.trunk_layers=3", "agent.trunk_layers"),
+        ("agent=gp protocol.capacity=511", "agent.inducing"),
+        ("agent=gp spike=imitate", "spike.margin"),
+        ("spike=imitate spike.protect=false", "spike.margin"),
+        ("spike=none spike.dialogues=5", "spike.dialogues"),
+        (
+            "explore=epsilon_greedy 'explore.eps_init=[.1,.3]' explore.eps_end=.2",
+            "explore.eps_init",
+        ),
+        ("protocol.capacity=31", "protocol.capacity"),
+        ("protocol.updates_per_round=1", "protocol.updates_per_round"),
+        ("protocol.lr=-1", "protocol.lr"),
+        ("replicas=4 'agent.lr=[.1,.2,.3]'", "agent.lr"),
+        ("env.level=text", "env.level"),
+        ("'env.users=[{share:.5},{share:.6}]'", "env.users"),
+        ("'env.users={slot_error_prob:{date:.5}}' env.errors=measured", "env.users"),
+        ("device=cuda:x", "device"),
+        ("domain=folder", "domain.path"),
+    ],
+)
+def test_what_does_not_fit_together_is_refused_by_key(choices, key):
+    with pytest.raises(ConfigError, match=re.escape(f"{key} ")):
+        compose(shlex.split(choices))
+
+
+def test_the_edges_of_what_fits_together_are_composed():
+    compose(["agent=gp", "protocol.capacity=512"])
+    compose(["protocol.capacity=32", "protocol.updates_per_round=2", "explore.temperature_end=.7"])
+    compose(["agent=bootstrap", "agent.trunk_layers=2", "replicas=4", "agent.lr=[.1,.2]"])
