@@ -13,7 +13,7 @@ from .folders import assert_same
 pytestmark = pytest.mark.slow
 
 NAME = "vime"
-BUSY = "another process is at work in"
+BUSY = "is at work in it"
 TWO = "two processes on one run folder: one worked, the other was told so in a line"
 
 
