@@ -28,7 +28,7 @@ from bbq_torchrl.trainers import (
     keep_freed_memory,
     rollouts,
 )
-from bbq_torchrl.utils.files import CHECKPOINTS, METRICS
+from bbq_torchrl.utils.files import CHECKPOINTS, METRICS, RESULT
 from bbq_torchrl.utils.text import FaultsError, shown
 
 if TYPE_CHECKING:
@@ -93,7 +93,7 @@ def _check_checkpoint(folder: Path, config: Config) -> None:
     if finished_result(folder, config.protocol.rounds) is not None:
         return  # only the curve may be missing
     found = CheckpointFolder(folder / CHECKPOINTS).newest(config_fingerprint(config), "replay")
-    if not found and (folder / METRICS).exists():
+    if not found and any((folder / name).exists() for name in (METRICS, RESULT)):
         raise CheckpointDamagedError.gone(folder)
 
 

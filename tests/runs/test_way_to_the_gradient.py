@@ -7,7 +7,7 @@ import re
 
 import forked
 
-FILES = 100
+FILES = 85
 FUNCTIONS = 520
 
 COUNT = """
