@@ -199,16 +199,10 @@ class GaussianPosterior(nn.Module):
         full = torch.Size((*self.replicas, *rows, self.mu.shape[-1]))
         drawn = self.new_noise(full) if noise is None else noise.normal(self, full)
         shape = (*self.replicas, *(1 for _ in rows), full[-1])
-        std = self._std_of_draw(sigma)
+        if sigma is not None and self not in sigma:
+            sigma[self] = self.sigma.detach()
+        std = self.sigma if sigma is None else sigma[self]
         return torch.addcmul(self.mu.reshape(shape), std.reshape(shape), drawn)
-
-    def _std_of_draw(self, cache: dict[Hashable, Tensor] | None) -> Tensor:
-        """Returns the standard deviations; cached ones have no gradient."""
-        if cache is None:
-            return self.sigma
-        if self not in cache:
-            cache[self] = self.sigma.detach()
-        return cache[self]
 
     @torch.no_grad()
     def redraw_(self, draws: Tensor, where: Tensor) -> None:

@@ -225,16 +225,8 @@ class Spike:
             )
         if self.protect:
             replay.protect()
-        rates = played["success_rate"].tolist()
-        _LOG.info(
-            "%.1f %% of the %d dialogues that spike the buffer succeed",
-            100 * fmean(rates),
-            self.dialogues,
-        )
+        rates, count = played["success_rate"].tolist(), self.dialogues
+        _LOG.info("%.1f %% of the %d spiked dialogues succeed", 100 * fmean(rates), count)
         without = [str(replica) for replica, rate in enumerate(rates) if not rate]
         if without:
-            _LOG.warning(
-                "none of the %d spiked dialogues of replica %s succeeds",
-                self.dialogues,
-                ", ".join(without),
-            )
+            _LOG.warning("no spiked dialogue of replica %s succeeds", ", ".join(without))
