@@ -53,11 +53,11 @@ def test_specs_describe_what_the_environment_gives(domain_name, batch_size, sche
 
 
 @pytest.mark.parametrize("batch_size", [(6,), (2, 3)])
-def test_a_partial_reset_starts_those_dialogues_only(movie, batch_size):
-    env = DialogueEnv(movie, batch_size=batch_size, seed=2)
+def test_a_partial_reset_starts_those_dialogues_only(restaurant, batch_size):
+    env = DialogueEnv(restaurant, batch_size=batch_size, seed=2)
     env.reset()
     step(env, "greeting")
-    before, state = step(env, "request(city)"), env.dialogues.clone()
+    before, state = step(env, "request(area)"), env.dialogues.clone()
     which = torch.tensor([False, True, False, False, True, False]).view(*batch_size, 1)
     # TorchRL keeps entries that are not reset from the data that comes with the mask.
     after = env.reset(before.clone().set("_reset", which))
@@ -71,12 +71,12 @@ def test_a_partial_reset_starts_those_dialogues_only(movie, batch_size):
     assert (env.dialogues["agent_act"][mask] == -1).all()
 
 
-def test_the_seed_decides_everything_but_the_policy(movie):
+def test_the_seed_decides_everything_but_the_policy(restaurant):
     def rollout(env):
         torch.manual_seed(0)
         return env.rollout(10, scripted_policy("random", env), break_when_any_done=False)
 
-    make = partial(DialogueEnv, movie, batch_size=(8,), intent_error_prob=0.2)
+    make = partial(DialogueEnv, restaurant, batch_size=(8,), intent_error_prob=0.2)
     one = rollout(make(seed=5))
     assert (one == rollout(make(seed=5))).all()
     env = make(seed=6)
@@ -85,12 +85,12 @@ def test_the_seed_decides_everything_but_the_policy(movie):
     assert (one == rollout(env)).all()
 
 
-def test_without_a_seed_torch_manual_seed_decides(movie):
+def test_without_a_seed_torch_manual_seed_decides(restaurant):
     goals = []
     for seed in (1, None, 1):
         if seed is not None:
             torch.manual_seed(seed)
-        goals.append(DialogueEnv(movie, batch_size=(8,)).reset()["goal_id"])
+        goals.append(DialogueEnv(restaurant, batch_size=(8,)).reset()["goal_id"])
     assert torch.equal(goals[0], goals[2])
     assert not torch.equal(goals[0], goals[1])
 
@@ -112,9 +112,9 @@ def test_dialogues_do_not_depend_on_the_default_dtype(movie, channel):
         assert found[key].dtype == torch.float32
 
 
-def make(movie, seed):
+def make(restaurant, seed):
     schedule = ExtensionSchedule(start=1, every=1)
-    return DialogueEnv(movie, batch_size=(2, 4), seed=seed, schedule=schedule, users="people")
+    return DialogueEnv(restaurant, batch_size=(2, 4), seed=seed, schedule=schedule, users="people")
 
 
 def unpickled(env, _):
@@ -130,12 +130,12 @@ def loaded(env, tmp_path):
 
 @pytest.mark.parametrize("copied", [loaded, unpickled, lambda env, _: copy.deepcopy(env)])
 @pytest.mark.parametrize("turns", [None, 3])
-def test_a_copy_goes_on_as_the_environment_does(movie, copied, turns, tmp_path):
+def test_a_copy_goes_on_as_the_environment_does(restaurant, copied, turns, tmp_path):
     def play(env, count):
         torch.manual_seed(0)
         return [env.rand_step(env.dialogues.select()) for _ in range(count)]
 
-    env = make(movie, 7)
+    env = make(restaurant, 7)
     env.set_round(2)
     if turns is not None:
         env.reset()
@@ -158,8 +158,8 @@ def test_dialogues_of_another_batch_or_domain_are_refused(movie, restaurant):
             DialogueEnv(domain, batch_size=(3,)).load_state_dict(env.state_dict())
 
 
-def test_what_is_told_is_not_memory_of_the_state(movie):
-    env = DialogueEnv(movie, batch_size=(3,), seed=0)
+def test_what_is_told_is_not_memory_of_the_state(restaurant):
+    env = DialogueEnv(restaurant, batch_size=(3,), seed=0)
     for tell in (env.reset, lambda: step(env, "greeting")):
         told, before = tell(), env.dialogues.clone()
         for value in told.values():
@@ -172,9 +172,9 @@ def test_the_domain_says_how_hard_it_is_unless_the_caller_does(movie):
     assert DialogueEnv(movie, slot_error_prob=0.0).simulator.errors.slot_error_prob == 0.0
 
 
-def test_settings_reach_the_simulator(movie):
+def test_settings_reach_the_simulator(restaurant):
     env = DialogueEnv(
-        movie,
+        restaurant,
         batch_size=(2,),
         slot_error_prob=0.25,
         slot_error_mode="mixed",
@@ -193,8 +193,8 @@ def test_settings_reach_the_simulator(movie):
     assert env.simulator.rewards.success == 1.0
 
 
-def test_what_an_environment_cannot_do_is_refused(movie):
-    env = DialogueEnv(movie)
+def test_what_an_environment_cannot_do_is_refused(restaurant):
+    env = DialogueEnv(restaurant)
     with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
         _ = env.dialogues
     with pytest.raises(ValueError, match=r"round .*-1"):
@@ -203,8 +203,8 @@ def test_what_an_environment_cannot_do_is_refused(movie):
 
 @pytest.mark.cuda
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a CUDA device, BBQ_TEST_CUDA=1")
-def test_an_environment_moves_to_an_accelerator_and_back(movie):
-    env = DialogueEnv(movie, batch_size=(5,), seed=0)
+def test_an_environment_moves_to_an_accelerator_and_back(restaurant):
+    env = DialogueEnv(restaurant, batch_size=(5,), seed=0)
     env.reset()
     goals = env.dialogues["goal_id"]
     env = env.to("cuda")
@@ -212,7 +212,7 @@ def test_an_environment_moves_to_an_accelerator_and_back(movie):
     check_env_specs(env)
     state = env.state_dict()
     expected = env.reset()
-    other = DialogueEnv(movie, batch_size=(5,), seed=1, device="cuda")
+    other = DialogueEnv(restaurant, batch_size=(5,), seed=1, device="cuda")
     other.load_state_dict(state)
     assert (other.reset() == expected).all()
     assert env.to("cpu").reset().device.type == "cpu"

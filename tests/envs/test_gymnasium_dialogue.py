@@ -117,8 +117,8 @@ def test_a_goal_can_be_chosen_and_all_else_stays(restaurant, make):
     ],
     ids=str,
 )
-def test_other_options_are_refused(options, message):
-    env = gymnasium.make(ENV_ID).unwrapped
+def test_other_options_are_refused(restaurant, options, message):
+    env = gymnasium.make(ENV_ID, domain=restaurant).unwrapped
     with pytest.raises(ValueError, match=message):
         env.reset(options=options)
     with pytest.raises(ResetNeeded):
@@ -138,12 +138,14 @@ def test_torchrls_gymenv_finds_the_mask(schedule):
         assert not (played["action"].bool() & ~legal).any()
 
 
-def test_the_mask_in_the_observation_is_that_in_info():
-    env = gymnasium.make(ENV_ID, mask_in_observation=True).unwrapped
+def test_the_mask_in_the_observation_is_that_in_info(restaurant):
+    env = gymnasium.make(ENV_ID, domain=restaurant, mask_in_observation=True).unwrapped
     check_env(env)
     observation, info = env.reset(seed=0)
     assert np.array_equal(observation["action_mask"], info["action_mask"].astype(bool))
-    assert np.array_equal(observation["observation"], gymnasium.make(ENV_ID).reset(seed=0)[0])
+    assert np.array_equal(
+        observation["observation"], gymnasium.make(ENV_ID, domain=restaurant).reset(seed=0)[0]
+    )
 
 
 def test_stable_baselines_counts_the_successes(restaurant):
@@ -154,11 +156,11 @@ def test_stable_baselines_counts_the_successes(restaurant):
     assert len(agent.ep_success_buffer) == len(agent.ep_info_buffer) > 5
 
 
-def test_is_success_is_told_at_the_end_alone(movie):
-    env = gymnasium.make(ENV_ID).unwrapped
+def test_is_success_is_told_at_the_end_alone(restaurant):
+    env = gymnasium.make(ENV_ID, domain=restaurant).unwrapped
     assert "is_success" not in env.reset(seed=0)[1]
-    assert "is_success" not in env.step(0)[-1]
-    assert env.step(movie.action_index("thanks"))[-1]["is_success"] is False
+    assert "is_success" not in env.step(2)[-1]
+    assert env.step(restaurant.action_index("thanks"))[-1]["is_success"] is False
 
 
 MADE_BY_ITS_ID = """
@@ -182,17 +184,20 @@ def test_the_id_with_its_module_needs_no_import(tmp_path):
     assert int(said.stdout) == gymnasium.make(ENV_ID).reset(seed=0)[1]["goal_id"]
 
 
-@pytest.mark.parametrize("action", [-1, 39, 1.5, "thanks", np.array([1, 2])])
-def test_what_is_no_action_is_refused(action):
-    env = gymnasium.make(ENV_ID).unwrapped
+@pytest.mark.parametrize("action", [-1, 22, 1.5, "thanks", np.array([1, 2])])
+def test_what_is_no_action_is_refused(restaurant, action):
+    env = gymnasium.make(ENV_ID, domain=restaurant).unwrapped
     env.reset(seed=0)
     with pytest.raises(ValueError, match="action"):
         env.step(action)
 
 
-def test_a_turn_after_the_end_and_a_seed_that_is_too_large_are_refused(movie):
-    env = gymnasium.make(ENV_ID).unwrapped
-    for prepare in (lambda: None, lambda: (env.reset(), env.step(movie.action_index("thanks")))):
+def test_a_turn_after_the_end_and_a_seed_that_is_too_large_are_refused(restaurant):
+    env = gymnasium.make(ENV_ID, domain=restaurant).unwrapped
+    for prepare in (
+        lambda: None,
+        lambda: (env.reset(), env.step(restaurant.action_index("thanks"))),
+    ):
         prepare()
         with pytest.raises(ResetNeeded, match="reset"):
             env.step(0)

@@ -22,10 +22,10 @@ def first_goals(env):
 
 
 @pytest.mark.parametrize("of", INTEGERS)
-def test_any_integer_is_a_seed_a_size_and_a_round(movie, of):
+def test_any_integer_is_a_seed_a_size_and_a_round(restaurant, of):
     schedule = ExtensionSchedule(start=of(1), every=of(2))
-    plain = DialogueEnv(movie, batch_size=(5,), seed=3, schedule=ExtensionSchedule(1, 2))
-    env = DialogueEnv(movie, batch_size=(of(5),), seed=of(3), schedule=schedule)
+    plain = DialogueEnv(restaurant, batch_size=(5,), seed=3, schedule=ExtensionSchedule(1, 2))
+    env = DialogueEnv(restaurant, batch_size=(of(5),), seed=of(3), schedule=schedule)
     goals = first_goals(plain)
     assert first_goals(env) == goals
     env.set_seed(of(3))
@@ -48,15 +48,15 @@ def test_other_parts_take_any_integer_as_a_seed(restaurant, of):
 
 
 @pytest.mark.parametrize("seed", [-1, 2**63, np.float64(3)])
-def test_what_is_no_seed_is_refused(movie, seed):
-    env = DialogueEnv(movie)
+def test_what_is_no_seed_is_refused(restaurant, seed):
+    env = DialogueEnv(restaurant)
     calls = (
-        lambda: DialogueEnv(movie, seed=seed),
+        lambda: DialogueEnv(restaurant, seed=seed),
         lambda: env.set_seed(seed),
         lambda: ReplicaReplay(8).seed([seed]),
         lambda: BootstrapMask(4).set_seeds([seed]),
         lambda: VIMEReward(DynamicsModel(3, 2), eta=0.5).set_seeds([seed]),
-        lambda: count_errors(movie, 1, seed=seed),
+        lambda: count_errors(restaurant, 1, seed=seed),
     )
     for call in calls:
         with pytest.raises(ValueError, match="seed"):
@@ -64,40 +64,40 @@ def test_what_is_no_seed_is_refused(movie, seed):
 
 
 @pytest.mark.parametrize("dtype", [torch.uint8, torch.int32])
-def test_an_action_of_any_integer_dtype_is_played(movie, dtype):
+def test_an_action_of_any_integer_dtype_is_played(restaurant, dtype):
     told = []
     for kind in (dtype, torch.int64):
-        env = DialogueEnv(movie, batch_size=(3,), seed=0)
+        env = DialogueEnv(restaurant, batch_size=(3,), seed=0)
         env.reset()
         action = torch.tensor([0, 7, 20], dtype=kind)
         told.append(env.step(TensorDict(action=action, batch_size=[3]))["next"])
     assert (told[0] == told[1]).all()
 
 
-ONE_HOT = torch.eye(39)[:3]
+ONE_HOT = torch.eye(22)[:3]
 
 
 @pytest.mark.parametrize(
     ("action", "got"),
     [
-        (ONE_HOT.long(), r"torch.int64 of shape \[3, 39\]"),
-        (ONE_HOT.bool(), r"torch.bool of shape \[3, 39\]"),
+        (ONE_HOT.long(), r"torch.int64 of shape \[3, 22\]"),
+        (ONE_HOT.bool(), r"torch.bool of shape \[3, 22\]"),
         (torch.zeros(3), r"torch.float32 of shape \[3\]"),
         (torch.zeros(3, dtype=torch.bool), r"torch.bool of shape \[3\]"),
         (torch.zeros(3, 1, dtype=torch.int64), r"torch.int64 of shape \[3, 1\]"),
     ],
     ids=["one-hot", "bool one-hot", "float", "bool", "column"],
 )
-def test_an_action_that_is_no_index_is_refused(movie, action, got):
-    env = DialogueEnv(movie, batch_size=(3,), seed=0)
+def test_an_action_that_is_no_index_is_refused(restaurant, action, got):
+    env = DialogueEnv(restaurant, batch_size=(3,), seed=0)
     env.reset()
     with pytest.raises(ValueError, match=rf"action .*{got}"):
         env.step(TensorDict(action=action, batch_size=[3]))
 
 
-@pytest.mark.parametrize("action", [-1, 39])
-def test_an_index_of_no_action_is_refused(movie, action):
-    env = DialogueEnv(movie, batch_size=(3,), seed=0)
+@pytest.mark.parametrize("action", [-1, 22])
+def test_an_index_of_no_action_is_refused(restaurant, action):
+    env = DialogueEnv(restaurant, batch_size=(3,), seed=0)
     env.reset()
     state = env.dialogues.clone()
     with pytest.raises(IndexError):

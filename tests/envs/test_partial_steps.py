@@ -17,16 +17,16 @@ def make(movie, batch_size, seed=0):
 
 
 @pytest.mark.parametrize(("batch_size", "last"), [((6,), ()), ((2, 3), (1,))])
-def test_dialogues_that_wait_stay_as_they_are_and_the_others_play_on(movie, batch_size, last):
+def test_dialogues_that_wait_stay_as_they_are_and_the_others_play_on(restaurant, batch_size, last):
     which = torch.tensor([True, False, True, False, False, True]).view(batch_size)
-    env, whole = (make(movie, batch_size) for _ in range(2))
+    env, whole = (make(restaurant, batch_size) for _ in range(2))
     for one in (env, whole):
         told = one.reset()
         torch.manual_seed(0)
         for _ in range(2):
             told = one.rand_step(told)["next"]
     before, state = told.clone(), env.dialogues.clone()
-    action = torch.full(batch_size, movie.action_index("request(city)"))
+    action = torch.full(batch_size, restaurant.action_index("request(area)"))
     step = TensorDict(action=action, batch_size=batch_size)
     after = env.step(step.clone().set("_step", which.view(*batch_size, *last)))["next"]
     expected = whole.step(step)["next"]
@@ -39,11 +39,11 @@ def test_dialogues_that_wait_stay_as_they_are_and_the_others_play_on(movie, batc
     assert (after["reward"][waits] == 0).all()
 
 
-def test_a_transform_can_have_dialogues_wait(movie):
+def test_a_transform_can_have_dialogues_wait(restaurant):
     def plays(td):
         return (td["turns"].squeeze(-1) == 2) & (td["goal_id"].squeeze(-1) % 2 == 0)
 
-    env = TransformedEnv(make(movie, (40,)), ConditionalSkip(plays))
+    env = TransformedEnv(make(restaurant, (40,)), ConditionalSkip(plays))
     rollout = env.rollout(6, scripted_policy("rule", env), break_when_any_done=False)
     even = rollout["goal_id"][:, 0, 0] % 2 == 0
     assert even.any()
@@ -53,11 +53,11 @@ def test_a_transform_can_have_dialogues_wait(movie):
     assert (turns[~even] == torch.arange(6)).all()
 
 
-def test_a_rollout_to_the_last_dialogues_end_is_as_without_waiting(movie):
+def test_a_rollout_to_the_last_dialogues_end_is_as_without_waiting(restaurant):
     """TorchRL skips dialogues that are over, which the environment never changes anyway."""
     rollouts = []
     for breaks in (True, False):
-        env = make(movie, (20,))
+        env = make(restaurant, (20,))
         torch.manual_seed(1)
         td, played = env.reset(), []
         over = torch.zeros(20, dtype=torch.bool)

@@ -45,13 +45,13 @@ def in_forked(count, call):
     return found
 
 
-def test_workers_without_a_seed_play_different_dialogues(movie):
-    one, other = parallel(partial(DialogueEnv, movie, batch_size=(8,)))
+def test_workers_without_a_seed_play_different_dialogues(restaurant):
+    one, other = parallel(partial(DialogueEnv, restaurant, batch_size=(8,)))
     assert one != other
 
 
-def test_copies_of_an_environment_without_a_seed_play_different_dialogues(movie):
-    env = DialogueEnv(movie, batch_size=(8,))
+def test_copies_of_an_environment_without_a_seed_play_different_dialogues(restaurant):
+    env = DialogueEnv(restaurant, batch_size=(8,))
     env.reset()
     copied = pickle.dumps(env)
     for call in (lambda: goals(env), lambda: goals(pickle.loads(copied))):
@@ -62,17 +62,17 @@ def test_copies_of_an_environment_without_a_seed_play_different_dialogues(movie)
 @pytest.mark.parametrize(
     "seeded", [lambda env: env.set_seed(5), lambda env: env.load_state_dict(env.state_dict())]
 )
-def test_copies_of_what_was_seeded_or_loaded_play_the_same(movie, seeded):
-    env = DialogueEnv(movie, batch_size=(8,))
+def test_copies_of_what_was_seeded_or_loaded_play_the_same(restaurant, seeded):
+    env = DialogueEnv(restaurant, batch_size=(8,))
     seeded(env)
     found = in_forked(2, lambda: goals(env))
     assert found == [goals(env)] * 2
 
 
-def test_a_process_that_seeds_torch_itself_plays_by_that_seed(movie):
+def test_a_process_that_seeds_torch_itself_plays_by_that_seed(restaurant):
     def played():
         torch.manual_seed(123)
-        return goals(DialogueEnv(movie, batch_size=(8,)))
+        return goals(DialogueEnv(restaurant, batch_size=(8,)))
 
     assert in_forked(2, played) == [played()] * 2
 

@@ -16,6 +16,11 @@ OFFERED = "agent_act:inform agent_informed:taskcomplete kb_match:all"
 FILLED = "filled:city filled:date"
 
 
+@pytest.fixture(scope="module")
+def env(movie):
+    return DialogueEnv(movie)
+
+
 def acts(env, *turns):
     """Returns the actions in the turns of a dialogue, each given by its set flags."""
     policy, tensordict, actions = RepairPolicy(env, SLOTS), TensorDict(batch_size=[1]), []
@@ -55,12 +60,11 @@ def acts(env, *turns):
         (["", f"{OFFERED} user_act:deny {FILLED}", f"{ANSWERED} {FILLED}"], "request(city)"),
     ],
 )
-def test_the_first_reason_that_there_is_decides(movie, turns, action):
-    assert acts(DialogueEnv(movie), *turns)[-1] == action
+def test_the_first_reason_that_there_is_decides(env, turns, action):
+    assert acts(env, *turns)[-1] == action
 
 
-def test_it_continues_and_offers_a_limited_number_of_times(movie):
-    env = DialogueEnv(movie)
+def test_it_continues_and_offers_a_limited_number_of_times(env):
     silent = "agent_act:confirm_answer kb_match:all filled:ticket"
     played = acts(env, "kb_match:all filled:ticket", *[silent] * MAX_CONFIRMS)
     assert played == ["confirm_answer"] * MAX_CONFIRMS + ["inform(taskcomplete)"]
@@ -70,14 +74,14 @@ def test_it_continues_and_offers_a_limited_number_of_times(movie):
     )
 
 
-def test_after_a_denial_every_filled_slot_is_asked_once(movie):
+def test_after_a_denial_every_filled_slot_is_asked_once(env):
     asked = [
         f"{FILLED} kb_match:all filled:ticket agent_act:request agent_requested:{slot}"
         for slot in ("city", "date")
     ]
     denied = f"{OFFERED} {FILLED} user_act:deny filled:ticket"
     done = f"{FILLED} kb_match:all agent_act:inform user_act:thanks filled:ticket"
-    assert acts(DialogueEnv(movie), "", done, denied, *asked, denied)[1:] == [
+    assert acts(env, "", done, denied, *asked, denied)[1:] == [
         *("inform(taskcomplete)", "request(city)", "request(date)"),
         *("inform(taskcomplete)", "request(city)"),
     ]

@@ -19,8 +19,8 @@ from torchrl.envs import (
 from bbq_torchrl.envs import DialogueEnv, EnvState, UniformPolicy, scripted_policy
 
 
-def transformed(movie, seed=None):
-    base = DialogueEnv(movie, batch_size=(6,), seed=seed)
+def transformed(restaurant, seed=None):
+    base = DialogueEnv(restaurant, batch_size=(6,), seed=seed)
     return TransformedEnv(base, Compose(StepCounter(), EnvState(), InitTracker()))
 
 
@@ -39,18 +39,18 @@ def played(env, told, turns=30):
     return torch.stack(found)
 
 
-def two(make, movie, seed):
-    return [partial(make, movie, seed=seed + number) for number in range(2)]
+def two(make, restaurant, seed):
+    return [partial(make, restaurant, seed=seed + number) for number in range(2)]
 
 
 ENVIRONMENTS = {
     "transformed": transformed,
-    "serial": lambda movie, seed: SerialEnv(2, two(transformed, movie, seed)),
-    "around serial": lambda movie, seed: TransformedEnv(
-        SerialEnv(2, two(partial(DialogueEnv, batch_size=(6,)), movie, seed)), EnvState()
+    "serial": lambda restaurant, seed: SerialEnv(2, two(transformed, restaurant, seed)),
+    "around serial": lambda restaurant, seed: TransformedEnv(
+        SerialEnv(2, two(partial(DialogueEnv, batch_size=(6,)), restaurant, seed)), EnvState()
     ),
-    "parallel": lambda movie, seed: ParallelEnv(
-        2, two(transformed, movie, seed), mp_start_method="spawn", use_buffers=False
+    "parallel": lambda restaurant, seed: ParallelEnv(
+        2, two(transformed, restaurant, seed), mp_start_method="spawn", use_buffers=False
     ),
 }
 
@@ -64,8 +64,8 @@ ENVIRONMENTS = {
         for name, make in ENVIRONMENTS.items()
     ],
 )
-def test_dialogues_go_on_where_they_were_saved(movie, make, tmp_path):
-    one, other = make(movie, 0), make(movie, 7)
+def test_dialogues_go_on_where_they_were_saved(restaurant, make, tmp_path):
+    one, other = make(restaurant, 0), make(restaurant, 7)
     try:
         told = one.reset()
         for _ in range(3):
@@ -82,9 +82,9 @@ def test_dialogues_go_on_where_they_were_saved(movie, make, tmp_path):
             env.close()
 
 
-def test_a_collector_goes_on_where_it_was_saved(movie, tmp_path):
+def test_a_collector_goes_on_where_it_was_saved(restaurant, tmp_path):
     def collector(seed):
-        env = transformed(movie, seed)
+        env = transformed(restaurant, seed)
         policy = scripted_policy("careful", env)
         return Collector(env, policy, frames_per_batch=60, total_frames=-1)
 
@@ -106,12 +106,12 @@ def test_a_collector_goes_on_where_it_was_saved(movie, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_collector_of_processes_saves_and_loads_their_dialogues(movie):
-    policy = scripted_policy("rule", DialogueEnv(movie))
+def test_a_collector_of_processes_saves_and_loads_their_dialogues(restaurant):
+    policy = scripted_policy("rule", DialogueEnv(restaurant))
     states = []
     for seed in (0, 7):
         collector = MultiSyncCollector(
-            two(transformed, movie, seed), policy, frames_per_batch=120, total_frames=-1
+            two(transformed, restaurant, seed), policy, frames_per_batch=120, total_frames=-1
         )
         try:
             next(iter(collector))
@@ -134,8 +134,8 @@ def test_outside_of_an_environment_there_is_nothing_to_save():
     EnvState().load_state_dict(state)
 
 
-def test_what_cannot_be_resumed_is_refused(movie):
-    env = DialogueEnv(movie, batch_size=(2,), seed=0)
+def test_what_cannot_be_resumed_is_refused(restaurant):
+    env = DialogueEnv(restaurant, batch_size=(2,), seed=0)
     collector = Collector(
         env,
         UniformPolicy(),
@@ -146,10 +146,10 @@ def test_what_cannot_be_resumed_is_refused(movie):
     with pytest.raises(ValueError, match="EnvState"):
         collector.load_state_dict(collector.state_dict())
     collector.shutdown()
-    env = DialogueEnv(movie, batch_size=(2,), seed=0)
+    env = DialogueEnv(restaurant, batch_size=(2,), seed=0)
     with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
         env.reset(resume=True)
-    ends = env.reset().set("action", torch.tensor([0, movie.action_index("thanks")]))
+    ends = env.reset().set("action", torch.tensor([0, restaurant.action_index("thanks")]))
     env.step(ends)
     with pytest.raises(ValueError, match="resume=True"):
         env.reset(resume=True)

@@ -19,6 +19,11 @@ from bbq_torchrl.envs import (
 )
 
 
+@pytest.fixture(scope="module")
+def env(movie):
+    return DialogueEnv(movie)
+
+
 def played(env, policy):
     """Returns the policy's actions in each dialogue, to its end."""
     rollout = env.rollout(env.max_agent_turns, policy, break_when_any_done=False)
@@ -49,8 +54,7 @@ def test_the_random_policy_plays_every_legal_action_alike():
     assert (share[[0, 2, 3]] - 1 / 3).abs().max() < 5 * sigma
 
 
-def test_an_unknown_policy_is_refused(movie):
-    env = DialogueEnv(movie)
+def test_an_unknown_policy_is_refused(env):
     with pytest.raises(ValueError, match=r"policy .*'clever'"):
         scripted_policy("clever", env)
 
@@ -72,8 +76,7 @@ def test_an_unknown_policy_is_refused(movie):
         ("agent_act:inform agent_informed:taskcomplete user_requested:theater", "thanks"),
     ],
 )
-def test_the_form_is_filled_in_order(movie, flags, action):
-    env = DialogueEnv(movie)
+def test_the_form_is_filled_in_order(movie, env, flags, action):
     observation = torch.tensor([[float(name in flags.split()) for name in env.layout.names]])
     legal = torch.tensor([["zip" not in name for name in movie.action_names]])
     td = TensorDict(observation=observation, action_mask=legal, batch_size=[1])

@@ -13,9 +13,9 @@ from benchmarks.parts.host_waits import NeverWaits
 
 
 @pytest.mark.parametrize("users", ["paper", "people"])
-def test_neither_a_turn_nor_a_reset_waits_for_the_device(movie, users):
+def test_neither_a_turn_nor_a_reset_waits_for_the_device(restaurant, users):
     env = DialogueEnv(
-        movie,
+        restaurant,
         batch_size=(2, 5),
         slot_error_prob=0.3,
         slot_error_mode="mixed",
@@ -33,11 +33,12 @@ def test_neither_a_turn_nor_a_reset_waits_for_the_device(movie, users):
 
 
 @pytest.mark.parametrize("mode", ["value", "slot", "delete", "mixed", "measured"])
-def test_everything_that_a_turn_uses_is_on_its_device(movie, mode):
+def test_everything_that_a_turn_uses_is_on_its_device(movie, restaurant, mode):
     # Tensors on the device "meta" have no numbers: code that reads one, or mixes them with tensors
     # on the CPU, fails.
-    tensors = tensorize(movie)
-    errors = load_errors(movie) if mode == "measured" else ErrorModel(tensors, 0.3, mode, 0.2)
+    domain = movie if mode == "measured" else restaurant
+    tensors = tensorize(domain)
+    errors = load_errors(domain) if mode == "measured" else ErrorModel(tensors, 0.3, mode, 0.2)
     simulator = Simulator(tensors, errors=errors, users="people").to("meta")
     active = torch.ones(tensors.n_slots, dtype=torch.bool, device="meta")
     action = torch.zeros(7, dtype=torch.int64, device="meta")
