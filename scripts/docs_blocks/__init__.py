@@ -5,7 +5,7 @@ Importing a module here registers its blocks by :func:`~scripts.docs_blocks.comm
 
 from __future__ import annotations
 
-from scripts.docs_blocks import (
+from scripts.docs_blocks import (  # noqa: F401
     best,
     config,
     domain,
@@ -19,17 +19,7 @@ from scripts.docs_blocks import (
 )
 from scripts.docs_blocks.common import BLOCKS
 
-__all__ = [
-    "BLOCKS",
-    "best",
-    "config",
-    "domain",
-    "draw_figures",
-    "files",
-    "learning",
-    "story",
-    "tables",
-]
+__all__ = ["BLOCKS", "draw_figures"]
 
 
 def draw_figures() -> None:

@@ -140,12 +140,6 @@ for _name in EXPERIMENTS:
     block(f"results.{_name}", _name)(_experiment)
 
 
-@block("results.baselines", "baselines")
-@block("results.extending", "extending")
-def _commands(name: str) -> str:
-    return commands(name)
-
-
 @block("results.explorers")
 def _explorers() -> str:
     """Returns each learner by each explorer, and minus its first one."""
