@@ -17,7 +17,7 @@ from talks.counts import COUNTS, save, shares, total
 from talks.person import PEOPLE, Person
 from talks.talk import Talk
 
-from bbq_torchrl.people.dialogue import RULE_NAMES
+from bbq_torchrl.people.dialogue import RULES
 from bbq_torchrl.people.dialogue.judge import Judge
 from bbq_torchrl.people.dialogue.partner import Partner
 from bbq_torchrl.people.dialogue.spelling import Spelling
@@ -44,7 +44,7 @@ def main() -> None:
     agent = TrainedAgent(given.agent)
     spelling = Spelling(agent.domain)
     nlu, nlg = cached_understander(agent.domain), Generator(spelling.domain)
-    rules = RULE_NAMES if given.control == "all" else ()
+    rules = tuple(RULES) if given.control == "all" else ()
     partner = Partner(agent, nlu, nlg, spelling, rules=rules)
     judge, names = Judge(partner.domain), load_phrases(agent.domain).names
     goals = [goal for goal in partner.domain.goals if judge.is_attainable(goal)]

@@ -8,7 +8,8 @@ from tiny import TINY, without_drawing
 
 from bbq_torchrl.people.chat import Partner, TrainedAgent
 from bbq_torchrl.people.dialogue.spelling import Spelling
-from bbq_torchrl.people.language import Generator
+from bbq_torchrl.people.language import Generator, Understander
+from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import run
 
@@ -36,6 +37,17 @@ def runs(tmp_path_factory):
 def agents(runs):
     names = ("bbqn", "dqn", "bootstrap")
     return {name: TrainedAgent(runs / name) for name in names}
+
+
+@pytest.fixture(scope="session")
+def understand(movie):
+    """An understander that has seen few sentences: it knows the plain ones."""
+    return Understander.train(movie, sentences=1_200)
+
+
+@pytest.fixture(scope="session")
+def lexicon(movie):
+    return Lexicon(movie)
 
 
 @pytest.fixture(scope="session")

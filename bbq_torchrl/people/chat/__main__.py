@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.options.registry import load_folder
-from bbq_torchrl.people.dialogue import RULE_NAMES
+from bbq_torchrl.people.dialogue import RULES
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import output
 from bbq_torchrl.utils.output import between, page
@@ -33,9 +33,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = _parser().parse_args(arguments)
     if "endpoint" in (given.nlu, given.nlg) and not (given.url and given.model):
         raise ConfigError("--nlu endpoint and --nlg endpoint need --url and --model")
-    if given.labeled is not None and given.understander is not None:
-        raise ConfigError("--labeled is learned in training: it must not be with --understander")
-
     rules = _rules(given.control)
     if given.config_dir is not None:
         load_folder(given.config_dir)
@@ -109,13 +106,14 @@ def _parser() -> argparse.ArgumentParser:
         default="all",
         metavar="RULES",
         help="rules between the agent's choice and the sentence: all (the default), none, or some "
-        f"of {','.join(RULE_NAMES)}",
+        f"of {','.join(RULES)}",
     )
     parser.add_argument("--plain", action="store_true", help="read lines of standard input")
-    parser.add_argument(
+    source = parser.add_mutually_exclusive_group()
+    source.add_argument(
         "--understander", type=Path, help="file of `bbq language train`; trained unless given"
     )
-    parser.add_argument("--labeled", type=Path, help="your labeled lines, learned as well")
+    source.add_argument("--labeled", type=Path, help="your labeled lines, learned as well")
     for name, help_ in (("--nlu", "who understands"), ("--nlg", "who speaks")):
         parser.add_argument(name, choices=("own", "endpoint"), default="own", help=help_)
     parser.add_argument("--url", help="of an OpenAI-compatible server, up to and with its /v1")
@@ -127,10 +125,10 @@ def _parser() -> argparse.ArgumentParser:
 
 def _rules(text: str) -> tuple[str, ...]:
     """Returns the names of rules in ``all``, ``none`` or ``name,name``."""
-    names = {"all": RULE_NAMES, "none": ()}.get(text, tuple(text.split(",")))
-    if not set(names) <= set(RULE_NAMES):
+    names = {"all": tuple(RULES), "none": ()}.get(text, tuple(text.split(",")))
+    if not set(names) <= set(RULES):
         raise ConfigError(
-            f"--control must be all, none, or some of {','.join(RULE_NAMES)}, got {shown(text)}"
+            f"--control must be all, none, or some of {','.join(RULES)}, got {shown(text)}"
         )
     return names
 

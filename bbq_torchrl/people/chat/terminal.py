@@ -216,13 +216,6 @@ class Chat:
         )
 
     def _table(self, names: Sequence[str], rows: Sequence[tuple[str, ...]]) -> None:
-        widths = [max(map(len, column)) for column in zip(names, *rows, strict=True)]
-        if sum(widths) + 3 * len(widths) + 1 > self._screen.width:
-            for row in rows:
-                self._say(row[0])
-                for name, cell in zip(names[1:], row[1:], strict=True):
-                    self._say(f"  {name}: {cell}")
-            return
         table = needed("rich", "rich.table", "chat").Table()
         for number, name in enumerate(names):
             table.add_column(name, justify="right" if number else "left")

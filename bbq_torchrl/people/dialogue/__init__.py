@@ -15,21 +15,22 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains.frames import Frame
 
 
-RULE_NAMES = (
-    "yes_ends",
-    "answers_first",
-    "no_asking_back",
-    "news",
-    "no_repeat",
-    "take_back",
-    "confirm",
-    "book",
-    "names",
-    "farewell",
-    "check",
-    "aside",
-)
-"""The rules of :mod:`~bbq_torchrl.people.dialogue.control`, here to avoid importing torch."""
+RULES = {
+    "yes_ends": "A yes to an offer that stands ends the dialogue, and nothing else does.",
+    "answers_first": "A question is answered before anything else.",
+    "no_asking_back": "The agent does not ask for what it has said, or what the person asks for, "
+    "has just said, has said twice, or does not care about.",
+    "news": "The agent says only what is not known yet, and says something.",
+    "no_repeat": "No act is repeated unchanged.",
+    "take_back": "An answer that does not fit what the person says later is taken back.",
+    "confirm": "A sentence understood badly is checked, and its content kept.",
+    "book": '"Book it" makes the agent offer, and after an offer it is a yes.',
+    "names": "A name that no record has is asked about.",
+    "farewell": "Only words of farewell let a person end the conversation.",
+    "check": 'A known value is checked ("5:50 pm, is that right?"), not asked for.',
+    "aside": "A question in place of an answer is read by itself.",
+}
+"""The rules of :mod:`~bbq_torchrl.people.dialogue.control`, in the order in which they apply."""
 
 
 @dataclass(frozen=True)

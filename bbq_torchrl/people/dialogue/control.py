@@ -9,13 +9,12 @@ in experiments.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import torch
 
 from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, NONE
-from bbq_torchrl.people.dialogue import RULE_NAMES
+from bbq_torchrl.people.dialogue import RULES
 from bbq_torchrl.simulator.choices import one_hot, pack, popcount
 
 if TYPE_CHECKING:
@@ -26,29 +25,15 @@ if TYPE_CHECKING:
     from bbq_torchrl.simulator import Simulator
 
 
-@dataclass(frozen=True)
-class Rule:
-    """One rule.
-
-    Attributes:
-        says: the effect of the rule, in a sentence.
-        allowed: returns the actions that it allows in a state, bool ``[*B, A]``; ``None`` for a
-            rule that concerns the memory or the sentence.
-    """
-
-    says: str
-    allowed: Callable[[Control, TensorDictBase], torch.Tensor] | None = None
-
-
 class Control:
     """Applies rules in order, each only where it leaves an action.
 
     Args:
         simulator: the domain's simulator; its tracker completes the agent's acts.
-        rules: names of :data:`RULES`.
+        rules: names of :data:`~bbq_torchrl.people.dialogue.RULES`.
 
     Attributes:
-        rules: the names, in the order of :data:`RULES`.
+        rules: the names, in the order in which they apply.
 
     Raises:
         ValueError: a name is unknown.
@@ -94,9 +79,8 @@ class Control:
         """
         left_out = {}
         for name in self.rules:
-            rule = RULES[name].allowed
-            if rule is not None:
-                kept = legal & rule(self, state)
+            if name in _ALLOWED:
+                kept = legal & _ALLOWED[name](self, state)
                 kept = torch.where(kept.any(-1, keepdim=True), kept, legal)
                 left_out[name] = legal & ~kept
                 legal = kept
@@ -196,37 +180,14 @@ class Control:
         return ~(is_last & is_same.all(-1, keepdim=True))
 
 
-RULES = dict(
-    zip(
-        RULE_NAMES,
-        (
-            Rule(
-                "A yes to an offer that stands ends the dialogue, and nothing else does.",
-                Control._yes_ends,
-            ),
-            Rule("A question is answered before anything else.", Control._answers_first),
-            Rule(
-                "The agent does not ask for what it has told, or what the person asks for, has "
-                "just told, has told twice, or does not care about.",
-                Control._no_asking_back,
-            ),
-            Rule("The agent tells only what is not known yet, and says something.", Control._news),
-            Rule("No act is repeated unchanged.", Control._no_repeat),
-            Rule("An answer that does not fit what the person tells later is taken back."),
-            Rule(
-                "A sentence understood badly is checked, and its content kept "
-                '("Dune, Tuesday, is that right?").'
-            ),
-            Rule('"Book it" makes the agent offer, and after an offer it is a yes.'),
-            Rule("A name that no record has is asked about."),
-            Rule("Only words of farewell let a person end the conversation."),
-            Rule('A known value is checked ("5:50 pm, is that right?"), not asked for.'),
-            Rule("A question in place of an answer is read by itself."),
-        ),
-        strict=True,
-    )
-)
-"""Rules by name, in the order in which they apply."""
+_ALLOWED: dict[str, Callable[[Control, TensorDictBase], torch.Tensor]] = {
+    "yes_ends": Control._yes_ends,
+    "answers_first": Control._answers_first,
+    "no_asking_back": Control._no_asking_back,
+    "news": Control._news,
+    "no_repeat": Control._no_repeat,
+}
+"""The actions that a rule allows in a state, bool ``[*B, A]``."""
 
-IN_THE_SIMULATOR = (*(name for name, rule in RULES.items() if rule.allowed), "take_back")
+IN_THE_SIMULATOR = (*_ALLOWED, "take_back")
 """The rules that concern acts and memory; the others concern sentences alone."""

@@ -23,7 +23,7 @@ from bbq_torchrl.people.language.corpus import play
 from bbq_torchrl.people.language.generator import Generator
 from bbq_torchrl.people.language.measure import (
     labeled_files,
-    measure_lines,
+    measure_movie,
     measure_own,
     measure_round_trip,
 )
@@ -83,22 +83,24 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.command == "count":
         _count(given, domain)
         return 0
-    labeled = [] if given.labeled is None else read_lines(given.labeled, domain)
-    measures = given.command == "measure"
-    files = labeled_files(given.data, domain) if measures else {}
-    is_movie = given.domain == MOVIE_FOLDER and not files and _MOVIE_DATA.is_dir()
+    lines = [] if given.labeled is None else read_lines(given.labeled, domain)
+    data = given.data if given.command == "measure" else None
+    is_movie = data is None and given.domain == MOVIE_FOLDER and _MOVIE_DATA.is_dir()
+    if given.command == "measure" and is_movie:
+        data = _MOVIE_DATA
+    files = {} if data is None else labeled_files(data, domain)
     started = time.process_time()
     understand = Understander.train(
-        domain, sentences=given.sentences, seed=given.seed, labeled=labeled
+        domain, sentences=given.sentences, seed=given.seed, labeled=lines
     )
     seconds = time.process_time() - started
-    with TemporaryDirectory() as unkept:
-        folder = unkept if measures else ""
-        file = given.file or Path(folder, f"{domain.name}.language.npz")
+    if given.command == "train":
+        understand.save(given.file or f"{domain.name}.language.npz")
+        return 0
+    with TemporaryDirectory() as folder:
+        file = given.file or Path(folder, "understander.npz")
         understand.save(file)
         megabytes = round(file.stat().st_size / 1e6, 2)
-    if not measures:
-        return 0
     turns = play(domain, given.dialogues, seed=given.seed)[:_ROUND_TRIPS]
     figures = {
         "domain": domain.name,
@@ -107,7 +109,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "training_seconds": round(seconds, 1),
         "megabytes": megabytes,
         **(
-            measure_lines(understand, _MOVIE_DATA)
+            measure_movie(understand, files)
             if is_movie
             else measure_own(understand, files, given.seed)
         ),
@@ -115,7 +117,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     }
     text = json.dumps(_rounded(figures), indent=1) + "\n"
     output.write(text)
-    if not (files or is_movie):
+    if not files:
         output.print_error(
             "people's sentences were not measured: the domain has no labeled ones; name a folder "
             "with --data"

@@ -104,13 +104,6 @@ class Lexicon:
         """The slots that have values."""
         return tuple(self._values)
 
-    @cached_property
-    def counted(self) -> str | None:
-        """The slot of a count that the most records and goals have."""
-        count = Counter(slot for slot, _ in self._frequency.elements())
-        slots = [slot for slot, kind in self.kinds.items() if kind == "count"]
-        return max(slots, key=lambda slot: count[slot], default=None)
-
     def values(self, slot: str) -> tuple[str, ...]:
         """Returns the values of a slot, as the domain spells them."""
         return self._values[slot]

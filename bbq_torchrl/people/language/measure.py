@@ -97,15 +97,13 @@ def calibration_floor(confidences: Sequence[float]) -> float:
     )
 
 
-def measure_lines(understand: Understander, data: Path) -> dict[str, Any]:
-    """Returns the figures for the labeled sentences in a folder.
+def measure_movie(understand: Understander, files: Mapping[str, Sequence[Line]]) -> dict[str, Any]:
+    """Returns the figures for the movie domain's labeled sentences, by file name.
 
-    Args:
-        understand: the understander.
-        data: the folder.
+    Those of the three voices are also measured as one, with typos and in lower case.
     """
-    by_voice = {voice: read_lines(data / f"{voice}.txt", understand.domain) for voice in VOICES}
-    lines = [line for own in by_voice.values() for line in own]
+    lines = [line for voice in VOICES for line in files[voice]]
+    found = {name: score(understand, own) for name, own in files.items()}
     whole = score(understand, lines)
     rng = random.Random(0)
     typed = [
@@ -116,38 +114,28 @@ def measure_lines(understand: Understander, data: Path) -> dict[str, Any]:
     for question, text, _ in lines:
         understand(text, question)
     seconds = time.process_time() - started
-    files = {
-        name: score(understand, read_lines(data / f"{name}.txt", understand.domain))
-        for name in (*LATER, "other_hand")
+    voices = {
+        voice: {name: found[voice][name] for name in ("frame", "slot_f1", "act")}
+        for voice in VOICES
     }
-    voices = {voice: score(understand, own) for voice, own in by_voice.items()}
     return {
         "free": whole,
-        **{name: files[name] for name in LATER},
-        "voices": {
-            voice: {name: own[name] for name in ("frame", "slot_f1", "act")}
-            for voice, own in voices.items()
-        },
+        **{name: found[name] for name in LATER},
+        "voices": voices,
         "threshold": understand.threshold,
         "typos_cost_slot_f1": whole["slot_f1"] - fmean(own["slot_f1"] for own in typed),
         "lowered_cost_slot_f1": whole["slot_f1"] - score(understand, lines, lowered)["slot_f1"],
-        "other_hand_slot_f1": files["other_hand"]["slot_f1"],
+        "other_hand_slot_f1": found["other_hand"]["slot_f1"],
         "milliseconds_a_sentence": 1e3 * seconds / len(lines),
     }
 
 
-def labeled_files(data: Path | None, domain: Domain) -> dict[str, list[Line]]:
+def labeled_files(data: Path, domain: Domain) -> dict[str, list[Line]]:
     """Returns the labeled lines of the text files in a folder, by file name.
-
-    Args:
-        data: the folder; ``None`` without labeled sentences.
-        domain: the domain whose acts and slots the labels may name.
 
     Raises:
         ValueError: if the folder has no text files, or one is written in another way.
     """
-    if data is None:
-        return {}
     files = {file.stem: read_lines(file, domain) for file in sorted(data.glob("*.txt"))}
     if not any(files.values()):
         raise ValueError(
@@ -159,10 +147,7 @@ def labeled_files(data: Path | None, domain: Domain) -> dict[str, list[Line]]:
 def measure_own(
     understand: Understander, files: Mapping[str, Sequence[Line]], seed: int
 ) -> dict[str, Any]:
-    """Returns the figures for a user's domain.
-
-    They are for unseen sentences of its grammar, and for each file of labeled sentences, by its
-    name.
+    """Returns the figures for unseen sentences of a domain's grammar, and for each labeled file.
 
     Args:
         understand: the understander.
@@ -171,9 +156,7 @@ def measure_own(
     """
     made = make_examples(understand.lexicon, _MADE, seed + 2)
     lines = [Line(one.question, " ".join(one.words), one.frame) for one in made]
-    return {"grammar": score(understand, lines)} | {
-        name: score(understand, own) for name, own in files.items()
-    }
+    return {name: score(understand, own) for name, own in {"grammar": lines, **files}.items()}
 
 
 def measure_round_trip(

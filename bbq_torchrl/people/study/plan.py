@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains import load_domain, movie_domain
-from bbq_torchrl.people.dialogue import RULE_NAMES
+from bbq_torchrl.people.dialogue import RULES
 from bbq_torchrl.people.dialogue.judge import Judge
 from bbq_torchrl.people.study.address import ADDRESS
 from bbq_torchrl.settings import (
@@ -101,8 +101,8 @@ _LINK = Allowed(
     lambda value: isinstance(value, str) and (not value or bool(_HTTPS.fullmatch(value))),
 )
 _RULES = _by_agent(
-    f"lists of {', '.join(RULE_NAMES)}",
-    _is_list(lambda value: all(name in RULE_NAMES for name in value)),
+    f"lists of {', '.join(RULES)}",
+    _is_list(lambda value: all(name in RULES for name in value)),
 )
 
 

@@ -20,9 +20,9 @@ def typed(partner, decided):
     decided(partner.agent, *["request(city)"] * 2)
     names = dict.fromkeys(partner.agent.domain.slots, "name")
 
-    def shown(*lines, width=100):
+    def shown(*lines):
         screen = io.StringIO()
-        console = Console(file=screen, force_terminal=True, color_system=None, width=width)
+        console = Console(file=screen, force_terminal=True, color_system=None, width=100)
         goal = choose_goal(partner.agent.domain, 1, 0)
         with (
             create_pipe_input() as keyboard,
@@ -42,13 +42,6 @@ def typed(partner, decided):
 
 def test_arrow_up_brings_back_what_was_typed(typed):
     assert typed("inform(city=reno)\r", "\x1b[A\r", "/quit\r").count("agent: ") == 2
-
-
-def test_in_a_narrow_terminal_tables_are_lists(typed):
-    shown = typed("inform(moviename=barbie)\r", "/acts\r", "\x04", width=40)
-    assert "\n  mean Q: " in shown
-    assert "\n  P(best): " in shown
-    assert max(map(len, shown.splitlines())) <= 40
 
 
 def test_tab_completes_a_command(typed):
