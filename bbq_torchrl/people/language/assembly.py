@@ -70,7 +70,7 @@ def assemble(
     is_short = len(words) <= _SHORT and "?" not in words
     if is_short and asked in lexicon.slots and lexicon.link(asked, " ".join(words)).is_exact:
         spans = [Span(asked, 0, len(words))]  # "LA" is the city or the state asked for.
-    if act != "closing":  # "Not today then, bye."
+    elif act != "closing":  # "Not today then, bye."
         is_bare = act == "inform" and not spans  # though it must name something
         spans += _missed(words, reading, asked, is_bare, lexicon)
         spans.sort(key=lambda span: span.start)
@@ -271,11 +271,11 @@ def _likeliest(
     reading: Reading,
     question: Frame,
     lexicon: Lexicon,
-    told: dict[str, str],
+    informed: dict[str, str],
     unclear: tuple[Unclear, ...],
 ) -> tuple[Frame, float]:
     """Returns the likeliest frame that the labeling guide allows, and its log-probability."""
-    frames = _allowed(words, reading, question, lexicon, told, unclear)
+    frames = _allowed(words, reading, question, lexicon, informed, unclear)
     frame, chance = max(frames, key=lambda item: item[1])
     for chances in (reading.requests, reading.dont_care):
         chance += float(torch.maximum(chances, 1 - chances).log().sum())
@@ -287,7 +287,7 @@ def _allowed(
     reading: Reading,
     question: Frame,
     lexicon: Lexicon,
-    told: dict[str, str],
+    informed: dict[str, str],
     unclear: tuple[Unclear, ...],
 ) -> Iterator[tuple[Frame, float]]:
     """Yields the likeliest frame of each act that is allowed.
@@ -299,31 +299,31 @@ def _allowed(
     cares = dict(zip(domain.slots, reading.dont_care.tolist(), strict=True))
     requests = tuple(slot for slot, chance in asks.items() if chance > 0.5)
     denied = {one.slot for one in unclear if one.is_denied}
-    open_ = [slot for slot in lexicon.slots if slot not in told and slot not in denied]
+    open_ = [slot for slot in lexicon.slots if slot not in informed and slot not in denied]
     free = {slot: ANY for slot in open_ if cares[slot] > 0.5}
     asked = asked_slot(question)
     if asked in free and (slot := _named_as_free(words, asked, lexicon)) in open_:
         free = {slot: ANY}
     likely_free = max(open_, key=lambda slot: cares[slot], default="")
-    is_silent = not (told or unclear or free) and question != OPENING
+    is_silent = not (informed or unclear or free) and question != OPENING
     is_offer = domain.complete_slot in question.informs
     may_ask = {"deny", "closing", *(["thanks"] if is_offer else [])}
     unasked = sum(_odds(asks[slot]) for slot in requests)
     for act, chance in zip(domain.acts, reading.acts.tolist(), strict=True):
         if act == "request":
-            likely = max((s for s in asks if s not in told), key=lambda s: asks[s])
+            likely = max((s for s in asks if s not in informed), key=lambda s: asks[s])
             also = requests or (likely,)
-            yield Frame(act, told | free, also), chance + (0 if requests else _odds(asks[likely]))
+            yield Frame(act, informed | free, also), chance + (0 if requests else _odds(asks[likely]))
         elif act == "inform" and requests and question == OPENING:
             continue  # Asking is what it does first.
         elif act == "inform" and is_silent and cares.get(likely_free, 0.0) > _FAINT:
             # An answer that names nothing does not care.
             yield Frame(act, {likely_free: ANY}, requests), chance + _odds(cares[likely_free])
         elif act == "inform":
-            yield Frame(act, told | free, requests), chance
+            yield Frame(act, informed | free, requests), chance
         elif act == "confirm_question":
-            yield Frame(act, told | free), chance - unasked
-        elif not (told or unclear):
+            yield Frame(act, informed | free), chance - unasked
+        elif not (informed or unclear):
             asks_too = act in may_ask
             yield Frame(act, free, requests if asks_too else ()), chance - unasked * (not asks_too)
 
