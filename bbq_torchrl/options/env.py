@@ -140,7 +140,7 @@ class FullDomain(EnvOption):
     )
     ask_below: float | None = setting(
         None,
-        optional(PROBABILITY, "the nlu's default, .75"),
+        optional(PROBABILITY, "the nlu's default"),
         "with level=text: confidence below which the system asks a user again; 0: never",
     )
     max_turn: int = setting(40, integers(2, 1_000), "turns of a dialogue, counting both sides")
