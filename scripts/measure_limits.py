@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.domains.frames import ANY, Frame
 from bbq_torchrl.people.language import Understander, read_lines
-from bbq_torchrl.people.language.measure import VOICES
 from bbq_torchrl.people.language.understander import cached_understander, keys_of
 from bbq_torchrl.people.language.words import compact, is_farewell
 from bbq_torchrl.utils import output
@@ -194,7 +193,11 @@ def main() -> None:
         "crowded": dropped(understand, read_lines(limits / f"crowded{end}.txt", domain)),
     }
     if not given.dev:
-        voices = [line for name in VOICES for line in read_lines(SETS / f"{name}.txt", domain)]
+        voices = [
+            line
+            for name in ("terse", "chatty", "nonnative")
+            for line in read_lines(SETS / f"{name}.txt", domain)
+        ]
         names = [pairs for _, _, pairs in rows(limits / "unknown_names.txt", domain)]
         titles = [name for ((slot, name),) in names if slot == "moviename"]
         figures["unseen_titles"] = unseen(understand, voices, titles)

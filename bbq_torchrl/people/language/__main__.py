@@ -23,7 +23,6 @@ from bbq_torchrl.people.language.corpus import play
 from bbq_torchrl.people.language.generator import Generator
 from bbq_torchrl.people.language.measure import (
     labeled_files,
-    measure_movie,
     measure_own,
     measure_round_trip,
 )
@@ -40,8 +39,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
 
 _ROUND_TRIPS = 3_000  # turns
-_MOVIE_DATA = Path("tests/data/language")
-_MOVIE_RESULT = Path("results/language.json")
 
 
 @output.refusing
@@ -62,13 +59,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
         command.add_argument("--labeled", type=Path, help="your labeled lines, learned as well")
         command.add_argument("--file", type=Path, help="where the understander goes")
         if name == "measure":
-            command.add_argument(
-                "--data", type=Path, help="folder of labeled sentences (movie: tests/data/language)"
-            )
+            command.add_argument("--data", type=Path, help="folder of labeled sentences")
             command.add_argument("--dialogues", type=int, default=10_000, help="for the round trip")
-            command.add_argument(
-                "--out", type=Path, help="JSON file (movie: results/language.json)"
-            )
+            command.add_argument("--out", type=Path, help="JSON file")
     count = commands.add_parser(
         "count", help="count what is misheard of simulated users, for env.errors=measured"
     )
@@ -85,9 +78,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     lines = [] if given.labeled is None else read_lines(given.labeled, domain)
     data = given.data if given.command == "measure" else None
-    is_movie = data is None and given.domain == MOVIE_FOLDER and _MOVIE_DATA.is_dir()
-    if given.command == "measure" and is_movie:
-        data = _MOVIE_DATA
     files = {} if data is None else labeled_files(data, domain)
     started = time.process_time()
     understand = Understander.train(
@@ -108,11 +98,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         "seed": given.seed,
         "training_seconds": round(seconds, 1),
         "megabytes": megabytes,
-        **(
-            measure_movie(understand, files)
-            if is_movie
-            else measure_own(understand, files, given.seed)
-        ),
+        **measure_own(understand, files, given.seed),
         **measure_round_trip(understand, Generator(domain), turns),
     }
     text = json.dumps(_rounded(figures), indent=1) + "\n"
@@ -122,7 +108,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             "people's sentences were not measured: the domain has no labeled ones; name a folder "
             "with --data"
         )
-    out = given.out or (_MOVIE_RESULT if is_movie else Path(f"{domain.name}.language.json"))
+    out = given.out or Path(f"{domain.name}.language.json")
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(text, encoding="utf-8")
     return 0

@@ -308,12 +308,12 @@ def _allowed(
     is_silent = not (informed or unclear or free) and question != OPENING
     is_offer = domain.complete_slot in question.informs
     may_ask = {"deny", "closing", *(["thanks"] if is_offer else [])}
+    likely = max((slot for slot in asks if slot not in informed), key=lambda slot: asks[slot])
+    forced = 0.0 if requests else _odds(asks[likely])
     unasked = sum(_odds(asks[slot]) for slot in requests)
     for act, chance in zip(domain.acts, reading.acts.tolist(), strict=True):
         if act == "request":
-            likely = max((s for s in asks if s not in informed), key=lambda s: asks[s])
-            also = requests or (likely,)
-            yield Frame(act, informed | free, also), chance + (0 if requests else _odds(asks[likely]))
+            yield Frame(act, informed | free, requests or (likely,)), chance + forced
         elif act == "inform" and requests and question == OPENING:
             continue  # Asking is what it does first.
         elif act == "inform" and is_silent and cares.get(likely_free, 0.0) > _FAINT:

@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 import random
-import time
 from itertools import compress
 from statistics import fmean
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.people.language.corpus import make_examples
-from bbq_torchrl.people.language.paraphrase import lowered, with_typos
 from bbq_torchrl.people.language.training_lines import Line, read_lines, without_unknown
 from bbq_torchrl.people.language.understander import keys_of, same_frame
 
@@ -23,15 +21,9 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.language.generator import Generator
     from bbq_torchrl.people.language.understander import Understander
 
-VOICES = ("terse", "chatty", "nonnative")
-LATER = ("second_held_out", "third_held_out")
-"""Files of sentences written after the phrases and features."""
-
 SUREST = 0.8
 """The share of sentences to answer."""
 
-_TYPOS = 0.1
-_DRAWS = 5
 _CHANCES = 200
 _MADE = 2_000
 
@@ -95,39 +87,6 @@ def calibration_floor(confidences: Sequence[float]) -> float:
         calibration_error(confidences, [rng.random() < c for c in confidences])
         for _ in range(_CHANCES)
     )
-
-
-def measure_movie(understand: Understander, files: Mapping[str, Sequence[Line]]) -> dict[str, Any]:
-    """Returns the figures for the movie domain's labeled sentences, by file name.
-
-    Those of the three voices are also measured as one, with typos and in lower case.
-    """
-    lines = [line for voice in VOICES for line in files[voice]]
-    found = {name: score(understand, own) for name, own in files.items()}
-    whole = score(understand, lines)
-    rng = random.Random(0)
-    typed = [
-        score(understand, lines, lambda text: " ".join(with_typos(text.split(), _TYPOS, rng)))
-        for _ in range(_DRAWS)
-    ]
-    started = time.process_time()
-    for question, text, _ in lines:
-        understand(text, question)
-    seconds = time.process_time() - started
-    voices = {
-        voice: {name: found[voice][name] for name in ("frame", "slot_f1", "act")}
-        for voice in VOICES
-    }
-    return {
-        "free": whole,
-        **{name: found[name] for name in LATER},
-        "voices": voices,
-        "threshold": understand.threshold,
-        "typos_cost_slot_f1": whole["slot_f1"] - fmean(own["slot_f1"] for own in typed),
-        "lowered_cost_slot_f1": whole["slot_f1"] - score(understand, lines, lowered)["slot_f1"],
-        "other_hand_slot_f1": found["other_hand"]["slot_f1"],
-        "milliseconds_a_sentence": 1e3 * seconds / len(lines),
-    }
 
 
 def labeled_files(data: Path, domain: Domain) -> dict[str, list[Line]]:

@@ -211,19 +211,6 @@ def with_typos(words: Sequence[str], share: float, rng: random.Random) -> list[s
     return [typo(word, rng) if rng.random() < share else word for word in words]
 
 
-def lowered(text: str) -> str:
-    """Returns a text in lower case, without marks except those inside numbers and words."""
-    kept = [
-        letter
-        for at, letter in enumerate(text)
-        if letter.isalnum()
-        or letter.isspace()
-        or letter in "$%&@'"
-        or (0 < at < len(text) - 1 and text[at - 1].isalnum() and text[at + 1].isalnum())
-    ]
-    return " ".join("".join(kept).lower().split())
-
-
 def slangy(tagged: Tagged, rng: random.Random) -> Tagged:
     """Returns a sentence in which some words are written as in text messages."""
     share = rng.choice((0.2, 0.5))

@@ -30,6 +30,7 @@ _LONGEST = 9
 _LONGEST_QUANTITY = 6
 QUANTITIES = ("time", "date", "count")
 UNKNOWN = "<unknown>"
+_FUZZ = ("process", "distance")
 
 
 class Features:
@@ -58,11 +59,7 @@ class Features:
                 self._nouns[noun].append(slot)
         self.known = frozenset(word.replace("'", "") for word in known)
         self._all = {*self.known, *self._part}
-        self._alike: dict[tuple[int, str], list[str]] = defaultdict(list)
-        for word in sorted(self._all):
-            if word.isalpha() and len(word) > 3:
-                for part in (word[0], word[1:]):
-                    self._alike[len(word), part].append(word)
+        self._long = sorted(word for word in self._all if word.isalpha() and len(word) > 3)
         self.spelled = lru_cache(maxsize=20_000)(self._spelled)
 
     def _spelled(self, word: str) -> str:
@@ -72,15 +69,9 @@ class Features:
             return word
         if len(word) < 4:
             return UNKNOWN
-        distance = needed("rapidfuzz", "rapidfuzz.distance").OSA.distance
-        close = (
-            other
-            for size in (len(word), len(word) + 1, len(word) - 1)
-            for part in (word[0], word[1:])
-            for other in self._alike.get((size, part), ())
-            if distance(word, other) == 1
-        )
-        return next(close, UNKNOWN)
+        fuzz, distance = (needed("rapidfuzz", f"rapidfuzz.{name}") for name in _FUZZ)
+        near = fuzz.extractOne(word, self._long, scorer=distance.OSA.distance, score_cutoff=1)
+        return UNKNOWN if near is None else str(near[0])
 
     def of_words(
         self, words: Sequence[str], question: Frame, capitals: frozenset[str] = frozenset()

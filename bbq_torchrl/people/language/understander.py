@@ -79,6 +79,8 @@ class Understander:
         model: the learned parts.
         temperature: the confidence in a frame is the product of the probabilities of its parts to
             the power of one over this.
+
+    Attributes:
         threshold: the confidence below which the caller should ask again.
 
     Examples:
@@ -88,15 +90,10 @@ class Understander:
         'request(ticket) inform(numberofpeople=2, moviename=wonka)'
     """
 
-    def __init__(
-        self,
-        lexicon: Lexicon,
-        model: Model,
-        temperature: float = 1.0,
-        threshold: float = THRESHOLD,
-    ) -> None:
+    threshold = THRESHOLD
+
+    def __init__(self, lexicon: Lexicon, model: Model, temperature: float = 1.0) -> None:
         self.domain, self.lexicon = lexicon.domain, lexicon
-        self.threshold = threshold
         self._model = model
         self._temperature = temperature
 
@@ -108,7 +105,6 @@ class Understander:
         sentences: int = SENTENCES,
         seed: int = 0,
         labeled: Sequence[Line] = (),
-        threshold: float = THRESHOLD,
         tick: Callable[[], object] = bool,
     ) -> Understander:
         """Returns an understander trained on sentences of the domain's grammar.
@@ -125,7 +121,6 @@ class Understander:
                 sentences are four times as many, most of them for the net alone.
             seed: the seed of the sentences and of the net's initial weights.
             labeled: people's labeled lines, learned like ``learned.txt``.
-            threshold: the confidence below which the caller should ask again.
             tick: called after each step of learning, at most :data:`TICKS` times.
 
         Raises:
@@ -156,7 +151,7 @@ class Understander:
             examples = [*grammar, *spoiled(others, seed), *played[::_TAGGED]]
             foreign = make_foreign(lexicon, grammar, sentences // _FOREIGN, seed)
             model = fit(lexicon, examples, played, foreign, seed=seed, steps=_STEPS, tick=tick)
-            found = cls(lexicon, model, threshold=threshold)
+            found = cls(lexicon, model)
             found._temperature = found._fitted_temperature(unlearned)
         finally:
             torch.set_num_threads(threads)
@@ -209,7 +204,6 @@ class Understander:
             "slots": self.domain.slots,
             "features": model.net.features,
             "known": sorted(model.features.known),
-            "threshold": self.threshold,
             "temperature": self._temperature,
         }
         arrays = {name: weight.numpy() for name, weight in model.net.state_dict().items()}
@@ -248,7 +242,7 @@ class Understander:
             {name: torch.from_numpy(array).float() for name, array in arrays.items()}
         )
         model = Model(Features(lexicon, about["known"]), tagger, net.eval())
-        return cls(lexicon, model, about["temperature"], about["threshold"])
+        return cls(lexicon, model, about["temperature"])
 
 
 def _read_file(path: Path) -> tuple[dict[str, Any], dict[str, np.ndarray]]:

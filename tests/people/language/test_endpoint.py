@@ -66,18 +66,14 @@ def test_an_answer_is_taken_with_values_as_the_domain_spells_them(understand, se
     assert (hear.answered, hear.fallbacks) == (1, {"no answer": 0, "invalid": 0})
 
 
-@pytest.mark.parametrize("threshold", [0.0, 1.0])
-def test_an_answer_is_as_sure_as_the_local_one_and_acted_on(
-    understand, server, threshold, monkeypatch
-):
-    monkeypatch.setattr(understand, "threshold", threshold)
+def test_an_answer_is_as_sure_as_the_local_one_and_acted_on(understand, server):
     own = understand("reno", question := Frame("request", {}, ("city",)))
     assert own.frame == Frame("inform", {"city": "reno"})
-    hear = EndpointUnderstander(server.endpoint, understand)
+    ask = EndpointUnderstander(server.endpoint, understand)
     server.content = json.dumps(ANSWER | {"requests": [], "dont_care": []})
-    assert hear("reno", question).confidence == own.confidence  # both agree
+    assert ask("reno", question).confidence == own.confidence  # both agree
     server.content = json.dumps(ANSWER)
-    assert hear("reno", question).confidence == max(own.confidence, threshold)
+    assert ask("reno", question).confidence == max(own.confidence, understand.threshold)
 
 
 WRONG = (
@@ -96,9 +92,9 @@ WRONG = (
     [
         *((json.dumps(ANSWER | change), "invalid") for change in WRONG),
         *((text, "invalid") for text in ("null", "3")),
-        *((text, "no answer") for text in ("", "yes", "{", "[" * 100_000)),
+        *((text, "no answer") for text in ("", "yes", "[" * 100_000)),
     ],
-    ids=range(13),
+    ids=range(12),
 )
 def test_an_answer_that_is_no_frame_of_the_domain_falls_back(understand, server, content, reason):
     server.content = content
