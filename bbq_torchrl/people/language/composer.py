@@ -63,7 +63,7 @@ class Composer:
         frame: Frame,
         question: Frame | None,
         rng: random.Random,
-        surface: Callable[[str, str, random.Random], str],
+        paraphrase: Callable[[str, str, random.Random], str],
         *,
         is_clear: bool = False,
     ) -> list[Piece]:
@@ -73,12 +73,12 @@ class Composer:
             frame: the user's act.
             question: the agent's last act; ``None`` at the opening.
             rng: the random number generator.
-            surface: returns the wording of a slot's value.
+            paraphrase: returns the wording of a slot's value.
             is_clear: whether a value that several slots share comes with the slot's name, and
                 each clause is a sentence.
         """
         told = {slot: value for slot, value in frame.informs.items() if value != ANY}
-        values = {slot: [Piece(surface(slot, value, rng), slot)] for slot, value in told.items()}
+        values = {slot: [Piece(paraphrase(slot, value, rng), slot)] for slot, value in told.items()}
         question = question or OPENING
         hidden = {
             slot

@@ -14,7 +14,12 @@ from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Coding, Frame
 from bbq_torchrl.people.language.asking import OPENING
 from bbq_torchrl.people.language.composer import Composer
-from bbq_torchrl.people.language.paraphrase import Surfaces, as_second_language, slangy, with_typos
+from bbq_torchrl.people.language.paraphrase import (
+    Paraphraser,
+    as_second_language,
+    slangy,
+    with_typos,
+)
 from bbq_torchrl.people.language.words import ENGLISH, OUTSIDE, tokenize
 from bbq_torchrl.simulator import Simulator
 
@@ -49,15 +54,12 @@ class Example:
         tags: the slot whose value each word is part of, else :data:`OUTSIDE`.
         frame: the meaning.
         question: the agent's last act; :data:`OPENING` before its first.
-        capitals: the words typed with a capital, as names are; see
-            :func:`~bbq_torchrl.people.language.words.capitalized`.
     """
 
     words: list[str]
     tags: list[str]
     frame: Frame
     question: Frame
-    capitals: frozenset[str] = frozenset()
 
 
 def tag(pieces: Sequence[Piece]) -> tuple[list[str], list[str]]:
@@ -94,12 +96,12 @@ def make_examples(
     turns = play(lexicon.domain, _DIALOGUES, seed=other, kept=_KEPT) if simulated else []
     frames = _Frames(lexicon)
     composer = Composer(lexicon, simulated=simulated)
-    surfaces = Surfaces(lexicon)
+    paraphrase = Paraphraser(lexicon)
     examples: list[Example] = []
     while len(examples) < count:
         question, frame = rng.choice(turns) if simulated else frames.draw(rng)
         is_clear = simulated and rng.random() < 0.5
-        words, tags = tag(composer.compose(frame, question, rng, surfaces, is_clear=is_clear))
+        words, tags = tag(composer.compose(frame, question, rng, paraphrase, is_clear=is_clear))
         example = _spoil(Example(words, tags, frame, question or OPENING), rng, noise)
         if example.words and len(example.words) <= 60:
             examples.append(example)
@@ -107,13 +109,9 @@ def make_examples(
 
 
 def spoiled(examples: Sequence[Example], seed: int) -> list[Example]:
-    """Returns people's sentences, spoiled like the grammar's, half of them without capitals."""
+    """Returns people's sentences, spoiled like the grammar's."""
     rng = random.Random(seed)
-    found = [_spoil(example, rng, 1.0) for example in examples]
-    return [
-        replace(example, capitals=frozenset()) if at % 2 else example
-        for at, example in enumerate(found)
-    ]
+    return [_spoil(example, rng, 1.0) for example in examples]
 
 
 def _spoil(example: Example, rng: random.Random, noise: float) -> Example:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 _MATES = ENGLISH["mates"].split()
 
 
-class Surfaces:
+class Paraphraser:
     """Writes values as people do.
 
     Args:

@@ -59,40 +59,35 @@ def read_count(text: str) -> str | None:
         >>> read_count("2 adults and a child")
         '3'
     """
-    words = tokenize(text.replace("-", " ") if not re.search(r"-\s*\d", text) else text)
-    words = ["with" if word == "w" else word for word in words]
-    words = [re.sub(r"(?<=\d)x$", "", word) for word in words]  # "2x"
+    words = tokenize(text if re.search(r"-\s*\d", text) else text.replace("-", " "))
+    words = [re.sub(r"(?<=\d)x$", "", "with" if word == "w" else word) for word in words]  # "2x"
+    total = _people(words)
+    return str(total) if 0 < total <= 99 else None
+
+
+def _people(words: list[str]) -> int:
+    """Returns the number of people in words of a phrase; 0 if they give none."""
+    said = set(words)
     numbers = [number for word in words if (number := number_of(word)) is not None]
-    if any(
-        re.fullmatch(r"-\d+", word) or (word.isdecimal() and number_of(word) is None)
-        for word in words
-    ):
-        return None
-    has_me = any(word in ("me", "i", "my", "myself") for word in words)
+    others = [word for word in words if re.fullmatch(r"-?\d+", word) and number_of(word) is None]
+    has_me = not said.isdisjoint(("me", "i", "my", "myself"))
     if (party := PARTY.search(" ".join(words))) is not None:
         members = [1 if word in ("a", "an") else number_of(word) or 0 for word in party[0].split()]
-        total = sum(members) + bool({"me", "i", "myself"} & set(words))
-        return str(total) if 0 < total <= 99 else None
-    if len(numbers) > 1:
-        return None
-    if "dozen" in words:
-        total = 6 if "half" in words else 12 * sum(numbers or [1])
-        return str(total) if 0 < total <= 99 else None
+        return sum(members) + (not said.isdisjoint(("me", "i", "myself")))
+    if others or len(numbers) > 1:
+        return 0
+    if "dozen" in said:
+        return 6 if "half" in said else 12 * sum(numbers or [1])
     if numbers:
-        is_plus = has_me and bool({"+", "plus"} & set(words))
-        is_plus |= (
-            bool(_COMPANIES & set(words)) and (has_me or "with" in words) and "us" not in words
-        )
-        total = numbers[0] + is_plus * (1 + sum(word in _COMPANIONS for word in words))
-        return str(total) if 0 < total <= 99 else None
-    if {"couple", "pair", "both"} & set(words):
-        return "2"
+        is_plus = has_me and not said.isdisjoint(("+", "plus"))
+        is_plus |= bool(_COMPANIES & said) and (has_me or "with" in said) and "us" not in said
+        return numbers[0] + is_plus * (1 + sum(word in _COMPANIONS for word in words))
+    if not said.isdisjoint(("couple", "pair", "both")):
+        return 2
     companions = sum((word in _COMPANIONS) + 2 * (word in _PAIRS) for word in words)
-    if companions and (has_me or "with" in words or words[:1] == ["a"]):
-        return str(1 + companions)
-    if _ALONE & set(words) or " ".join(words) in ENGLISH["just_me"]:
-        return "1"
-    return None
+    if companions and (has_me or "with" in said or words[0] == "a"):
+        return 1 + companions
+    return int(bool(_ALONE & said) or " ".join(words) in ENGLISH["just_me"])
 
 
 Kind = Literal["text", "time", "date", "count", "price"]

@@ -13,13 +13,12 @@ from typing import TYPE_CHECKING, NamedTuple
 from bbq_torchrl.domains.frames import ANY, Frame
 from bbq_torchrl.people.language.asking import FOREIGN, OPENING
 from bbq_torchrl.people.language.corpus import Example, spoiled, tag
-from bbq_torchrl.people.language.paraphrase import Surfaces
+from bbq_torchrl.people.language.paraphrase import Paraphraser
 from bbq_torchrl.people.language.phrases import Piece, choose, parse
 from bbq_torchrl.people.language.words import (
     ENGLISH,
     OUTSIDE,
     SMALL,
-    capitalized,
     compact,
     spans_of,
     tokenize,
@@ -52,12 +51,12 @@ def make_foreign(
         seed: the seed of all random choices.
     """
     rng = random.Random(seed)
-    surfaces = Surfaces(lexicon)
+    paraphrase = Paraphraser(lexicon)
     templates = [*_FOREIGN, *lexicon.phrases.user["foreign"]]
     found = []
     for _ in range(count):
         values = {
-            slot: [Piece(surfaces(slot, rng.choice(lexicon.values(slot)), rng), slot)]
+            slot: [Piece(paraphrase(slot, rng.choice(lexicon.values(slot)), rng), slot)]
             for slot in lexicon.slots
         }
         question = OPENING if rng.random() < 0.5 else rng.choice(others).question
@@ -214,7 +213,7 @@ def as_examples(lines: Sequence[Line], lexicon: Lexicon) -> list[Example]:
             if place is not None:
                 tags[place.start : place.stop] = [slot] * len(place)
         heard = without_unknown(frame)
-        examples.append(Example(words, tags, heard, question or OPENING, capitalized(text)))
+        examples.append(Example(words, tags, heard, question or OPENING))
     return examples
 
 
@@ -260,7 +259,7 @@ def _means(slot: str, words: list[str], key: str, lexicon: Lexicon) -> float:
 
 
 def varied(
-    examples: Sequence[Example], lexicon: Lexicon, surfaces: Surfaces, copies: int, seed: int
+    examples: Sequence[Example], lexicon: Lexicon, paraphrase: Paraphraser, copies: int, seed: int
 ) -> list[Example]:
     """Returns the sentences, and copies of each with other values.
 
@@ -269,7 +268,7 @@ def varied(
     Args:
         examples: the sentences.
         lexicon: the values.
-        surfaces: the ways to write values.
+        paraphrase: the ways to write values.
         copies: the number of copies of each sentence.
         seed: the seed of the values.
     """
@@ -279,16 +278,13 @@ def varied(
     for example in examples:
         for _ in range(copies):
             words, tags, at = [], [], 0
-            capitals = example.capitals
             for slot, start, end in spans_of(example.tags):
                 value = rng.choice(lexicon.values(slot))
                 other = names.made_up(slot, rng) if rng.random() < _MADE_UP else []
-                other = other or tokenize(surfaces(slot, value, rng))
+                other = other or tokenize(paraphrase(slot, value, rng))
                 words += [*example.words[at:start], *other]
                 tags += [*example.tags[at:start], *[slot] * len(other)]
-                if not capitals.isdisjoint(example.words[start:end]):
-                    capitals |= {*other} - SMALL
                 at = end
             words, tags = words + example.words[at:], tags + example.tags[at:]
-            found.append(replace(example, words=words, tags=tags, capitals=capitals))
+            found.append(replace(example, words=words, tags=tags))
     return found

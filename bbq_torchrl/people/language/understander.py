@@ -22,7 +22,7 @@ from bbq_torchrl.people.language.assembly import assemble
 from bbq_torchrl.people.language.corpus import make_examples, spoiled
 from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.model import EPOCHS, IntentNet, Model, Tagger, fit
-from bbq_torchrl.people.language.paraphrase import Surfaces
+from bbq_torchrl.people.language.paraphrase import Paraphraser
 from bbq_torchrl.people.language.phrases import LANGUAGE_FILE
 from bbq_torchrl.people.language.sentence_features import Features
 from bbq_torchrl.people.language.training_lines import (
@@ -34,7 +34,7 @@ from bbq_torchrl.people.language.training_lines import (
     read_lines,
     varied,
 )
-from bbq_torchrl.people.language.words import capitalized, words_of
+from bbq_torchrl.people.language.words import words_of
 from bbq_torchrl.utils.files import write_bytes
 
 if TYPE_CHECKING:
@@ -68,7 +68,7 @@ _FOREIGN = 2  # people's sentences to one out-of-domain sentence
 _UNLEARNED = 20  # one in this many of people's sentences only fits the temperature
 _FEWEST = 50  # of them; with fewer, the grammar's sentences fit it
 _TEMPERATURES = np.geomspace(0.5, 20.0, 75)
-_FORMAT = 9
+_FORMAT = 1
 
 
 class Understander:
@@ -144,10 +144,10 @@ class Understander:
             own = max(sentences - len(people), -(-sentences // _OWN))
             grammar = make_examples(lexicon, own, seed)
             played = make_examples(lexicon, _PLAYED * sentences, seed, simulated=True)
-            surfaces, some = Surfaces(lexicon), grammar[::_UNKNOWN]
+            paraphrase, some = Paraphraser(lexicon), grammar[::_UNKNOWN]
             copies = min(_COPIES, round(sentences / max(len(people), 1)))
-            others = varied(people, lexicon, surfaces, copies, seed)
-            others += varied(some, lexicon, surfaces, 1, seed)[len(some) :]
+            others = varied(people, lexicon, paraphrase, copies, seed)
+            others += varied(some, lexicon, paraphrase, 1, seed)[len(some) :]
             examples = [*grammar, *spoiled(others, seed), *played[::_TAGGED]]
             foreign = make_foreign(lexicon, grammar, sentences // _FOREIGN, seed)
             model = fit(lexicon, examples, played, foreign, seed=seed, steps=_STEPS, tick=tick)
@@ -161,7 +161,7 @@ class Understander:
         """Returns the temperature at which the confidence fits unlearned sentences best."""
         chances, right = [], []
         for example in examples:
-            frame, _, chance = self._read(example.words, example.question, example.capitals)
+            frame, _, chance = self._read(example.words, example.question)
             chances.append(chance)
             right.append(same_frame(frame, example.frame, self.lexicon))
         confidence = np.exp(np.array(chances) / _TEMPERATURES[:, None]).clip(1e-6, 1 - 1e-6)
@@ -180,7 +180,7 @@ class Understander:
                 is too long.
         """
         words = words_of(text)[:_MAX_WORDS]
-        frame, unclear, chance = self._read(words, question or OPENING, capitalized(text))
+        frame, unclear, chance = self._read(words, question or OPENING)
         return Understood(frame, math.exp(chance / self._temperature), unclear)
 
     def asks(self, understood: Understood) -> bool:
@@ -188,10 +188,10 @@ class Understander:
         return understood.confidence < self.threshold or bool(understood.unclear)
 
     def _read(
-        self, words: Sequence[str], question: Frame, capitals: frozenset[str]
+        self, words: Sequence[str], question: Frame
     ) -> tuple[Frame, tuple[Unclear, ...], float]:
         """Returns the frame of some words, the unclear words, and its log-probability."""
-        reading = self._model.read(words, question, capitals)
+        reading = self._model.read(words, question)
         return assemble(words, reading, question, self.lexicon)
 
     def save(self, path: str | Path) -> None:
