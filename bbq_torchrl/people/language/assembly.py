@@ -171,8 +171,10 @@ def _missed(
             if is_short or (kind == "count" and slot != asked):
                 continue
             is_doubtful = min(reading.each_chance[start:end]) < _DOUBTFUL
+            beside = (*words[max(start - 1, 0) : start], *words[end : end + 1])
             if (
                 is_bare
+                or "or" in beside  # "Seattle or Portland"
                 or is_denied(words, start, end)
                 or (is_doubtful and slot not in reading.tags)
             ):

@@ -129,6 +129,11 @@ def test_words_of_denial_about_something_else_leave_the_value(lexicon, text):
     assert (frame.informs, unclear) == ({"date": "friday"}, ())
 
 
+def test_of_two_names_joined_by_or_none_is_picked_though_one_was_not_tagged(lexicon):
+    frame, unclear = read("seattle or portland", {"portland": "city"}, lexicon)
+    assert (frame.informs, unclear[0].candidates) == ({}, ("seattle", "portland"))
+
+
 @pytest.mark.parametrize("text", ["not friday , saturday", "saturday instead of friday"])
 def test_beside_a_denied_value_the_other_one_is_meant(lexicon, text):
     tagged = dict.fromkeys(("friday", "saturday"), "date")
