@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import pickle
-from copy import deepcopy
-
 import pytest
 import torch
 from tensordict import TensorDict
@@ -60,16 +57,6 @@ def test_masks_do_not_depend_on_padding_calls_or_the_other_replicas():
     assert not first[~valid].any()
     assert torch.equal(torch.cat([first[0, :4], second[0, :5]]), alone[0])
     assert torch.equal(first[1, valid[1]], alone[1])
-
-
-@pytest.mark.parametrize("copied", [deepcopy, lambda mask: pickle.loads(pickle.dumps(mask))])
-def test_copies_continue_with_the_same_numbers(copied):
-    transform = BootstrapMask(4, replicas=(2,))
-    masks(transform, 2, 5)
-    copy = copied(transform)
-    expected = masks(transform, 2, 40)
-    assert torch.equal(masks(copy, 2, 40), expected)
-    assert not torch.equal(masks(transform, 2, 40), expected)
 
 
 def test_a_mask_that_is_there_stays_and_takes_no_number():

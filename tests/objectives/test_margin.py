@@ -91,12 +91,6 @@ def test_every_loss_learns_the_margin_and_only_from_marked_rows(make):
     assert torch.equal(result(loss, td)["loss"], before["loss"])
 
 
-@pytest.mark.parametrize(("margin", "factor"), [(0, 1), (-1, 1), (1, 0), (float("nan"), 1)])
-def test_a_margin_and_a_factor_are_above_zero(margin, factor):
-    with pytest.raises(ValueError, match=r"(margin|factor) must be .*, got"):
-        plain_loss()[0].imitate(margin, factor)
-
-
 def test_a_replay_marks_its_protected_rows_in_whatever_order_they_come():
     replay = ReplicaReplay(8, replicas=2, keys=["action"])
 

@@ -91,6 +91,12 @@ def test_a_mask_of_other_heads(shape):
         heads_loss((2,))[0](td)
 
 
+@pytest.mark.parametrize(("margin", "factor"), [(0, 1), (1, 0), (float("nan"), 1)])
+def test_a_margin_and_a_factor_are_above_zero(margin, factor):
+    with pytest.raises(ValueError, match=r"margin|factor"):
+        plain_loss()[0].imitate(margin, factor)
+
+
 def test_a_number_of_data_that_is_not_known():
     with pytest.raises(RuntimeError, match="num_data"):
         bayes_loss(num_data=None)[0](transitions())

@@ -84,27 +84,3 @@ def test_a_rounds_updates_never_wait_and_find_all_on_their_device(agent, build):
         sum(part(batch)["loss"] for part in losses_of(loss)).backward()
     gradients = [p.grad for p in loss.parameters() if p.requires_grad]
     assert {gradient.device for gradient in gradients} == {device}
-
-
-def test_targets_computed_once_a_freeze_are_those_of_every_batch(build, monkeypatch):
-    (_, once), (_, every) = (build("dqn", name, "protocol.rounds=1") for name in ("once", "every"))
-    read: list[bool] = []
-    forward = once.learner.loss.forward
-
-    def watched(batch):
-        read.append(("next", "next_state_value") in batch.keys(include_nested=True))
-        return forward(batch)
-
-    monkeypatch.setattr(once.learner.loss, "forward", watched)
-    monkeypatch.setattr(every.learner, "compute_targets", lambda: None)
-
-    rows, expected = once.train(), every.train()
-
-    assert read
-    assert all(read)
-    torch.testing.assert_close(
-        once.learner.optimizer.parameters, every.learner.optimizer.parameters, rtol=1e-3, atol=1e-4
-    )
-    losses = [row["loss"] for row in expected]
-    assert [row["loss"] for row in rows] == pytest.approx(losses, rel=1e-3)
-    assert min(losses) > 0

@@ -8,9 +8,8 @@ import pytest
 import torch
 from dynamics_losses import dynamics_loss
 from q_transitions import bayes_loss, plain_loss, transitions
-from torch import nn
 
-from bbq_torchrl.trainers import Learner, losses_of
+from bbq_torchrl.trainers import Learner
 from bbq_torchrl.vime import vime_losses
 
 
@@ -61,9 +60,3 @@ def test_an_update_has_the_gradients_and_the_metrics_of_each_loss(q):
 
     torch.testing.assert_close(gradients(q_loss, dynamics), expected)
     assert learner.sums.means().keys() == names
-
-
-def test_losses_are_those_of_a_module_dict_or_the_one_given():
-    q_loss, dynamics = nn.Linear(1, 1), nn.Linear(1, 1)
-    assert losses_of(q_loss) == [q_loss]
-    assert losses_of(nn.ModuleDict({"first": q_loss, "second": dynamics})) == [q_loss, dynamics]

@@ -30,14 +30,6 @@ def test_what_is_read_is_not_changed_and_may_be_a_view():
     assert (rows == before).all()
 
 
-def test_a_reward_may_lack_the_last_dimension():
-    vime = transform(eta=0.3)
-    rows = vime.inv(transitions(8))
-    expected = vime(rows)[REWARD]
-    rows[REWARD] = rows[REWARD].squeeze(-1)
-    assert torch.equal(vime(rows)[REWARD], expected.squeeze(-1))
-
-
 def test_replicas_may_have_an_eta_each_which_follows_the_rows_to_their_device():
     eta, td = torch.tensor([0.1, 0.2, 0.3]), transitions(3, 6)
     vime = transform((3,), eta=eta)
