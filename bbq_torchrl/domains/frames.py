@@ -150,10 +150,6 @@ class Coding:
         requested = (slot for slot, is_set in zip(self.slots, requests, strict=True) if is_set)
         return Frame(self.acts[act], self.values(informs), tuple(requested))
 
-    def text(self, slot: int, value: int) -> str:
-        """Returns the domain's spelling of a value."""
-        return self._vocabulary[slot][value]
-
     def values(self, ids: Sequence[int]) -> dict[str, str]:
         """Returns the values of the ids ``[S]`` by slot, without those that are 0."""
         return {

@@ -125,30 +125,20 @@ class ErrorModel(Movable):
         """Returns the utterance heard; see :class:`Channel`."""
         if agent is None:
             return Utterance(said.act, said.informs, said.requests)
-        act = torch.where(is_silent, said.act, self.hear(said.act, draws))
-        informs = self.distort(said.informs, draws, active, said.error_prob)
-        return Utterance(act, informs, said.requests)
+        act = said.act
+        if self.intent_error_prob > 0:
+            is_random = (draws["intent"] < self.intent_error_prob) & ~is_silent
+            act = torch.where(is_random, index_below(draws["intent_act"], self._n_acts), act)
+        return Utterance(act, self._informs(said, draws, active), said.requests)
 
-    def distort(
-        self,
-        informs: torch.Tensor,
-        draws: TensorDictBase,
-        active: torch.Tensor,
-        error_prob: torch.Tensor | None = None,
+    def _informs(
+        self, said: Utterance, draws: TensorDictBase, active: torch.Tensor
     ) -> torch.Tensor:
-        """Returns the informed values after errors: value ids, long ``[*B, S]``.
-
-        Args:
-            informs: long ``[*B, S]``, the values that the user means to inform.
-            draws: uniform ``error``, ``error_kind``, ``error_slot`` and ``error_value``, each
-                float32 ``[*B, S]``.
-            active: bool ``[S]``, the slots that a slot error can substitute.
-            error_prob: float32 ``[*B, S]``, probabilities that replace ``slot_error_prob`` where
-                they are not negative.
-        """
+        """Returns the informed values after errors: value ids, long ``[*B, S]``."""
+        informs: torch.Tensor = said.informs
         prob: float | torch.Tensor = self.slot_error_prob
-        if error_prob is not None:
-            prob = torch.where(error_prob < 0, prob, error_prob)
+        if said.error_prob is not None:
+            prob = torch.where(said.error_prob < 0, prob, said.error_prob)
         elif prob == 0.0:
             return informs
         is_hit = (informs != NONE) & (draws["error"] < prob)
@@ -165,18 +155,6 @@ class ErrorModel(Movable):
         is_spared = ~is_hit | (is_value & ~self._has_values)
         spared = torch.where(is_spared, informs, NONE)
         return self._overlay(spared, is_value & self._has_values, is_slot, draws, active)
-
-    def hear(self, act: torch.Tensor, draws: TensorDictBase) -> torch.Tensor:
-        """Returns the act heard, long ``[*B]``.
-
-        Args:
-            act: long ``[*B]``, the act meant.
-            draws: uniform ``intent`` and ``intent_act``, each float32 ``[*B]``.
-        """
-        if self.intent_error_prob == 0.0:
-            return act
-        any_act = index_below(draws["intent_act"], self._n_acts)
-        return torch.where(draws["intent"] < self.intent_error_prob, any_act, act)
 
     def _other_value(self, draws: TensorDictBase) -> torch.Tensor:
         """Draws an error value of each slot. Returns value ids, long ``[*B, S]``."""
@@ -196,7 +174,7 @@ class ErrorModel(Movable):
             spared: long ``[*B, S]``, the values without errors.
             is_value: bool ``[*B, S]``, slots whose value is replaced.
             is_slot: bool ``[*B, S]``, slots that are replaced by another slot.
-            draws: the same as for :meth:`distort`.
+            draws: the uniform numbers of the turn.
             active: bool ``[S]``.
         """
         n_slots = active.shape[-1]

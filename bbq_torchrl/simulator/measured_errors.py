@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import torch
 from torch.nn.utils.rnn import pad_sequence
 
+from bbq_torchrl.domains.frames import Coding
 from bbq_torchrl.domains.tensors import Movable, tensorize
 from bbq_torchrl.domains.values import NONE, fold, value_ids
 from bbq_torchrl.simulator.choices import one_hot, rows
@@ -23,6 +24,7 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
     from bbq_torchrl.domains import Domain, DomainTensors
+    from bbq_torchrl.domains.frames import Frame
     from bbq_torchrl.simulator.error_model import Channel
     from bbq_torchrl.simulator.tracker import AgentTurn
 
@@ -292,9 +294,8 @@ class ErrorCounter:
         self.slot_draws, self.draws = channel.slot_draws, channel.draws
         self.mishears_all = channel.mishears_all
         self.turns = 0
-        self._acts, self._slots = tuple(domain.act), tuple(domain.slot)
-        self._questions = questions_of(self._acts, self._slots)
-        self._vocabulary = domain.vocabulary
+        self._coding = Coding(domain)
+        self._questions = questions_of(self._coding.acts, self._coding.slots)
         self._counted: Counter[tuple[str, ...]] = Counter()
         self._requests: dict[tuple[str, str], list[int]] = defaultdict(lambda: [0, 0])
 
@@ -314,52 +315,43 @@ class ErrorCounter:
         """Returns the utterance heard, and counts it."""
         heard = self._channel.transmit(said, agent, before, is_silent, draws, active)
         columns = (
-            *context_of(agent, said, len(self._acts)),
+            *context_of(agent, said, len(self._coding.acts)),
             *(said.act, said.informs, said.requests),
             *(heard.act, heard.informs, heard.requests),
         )
-        for turn in zip(*(column[~is_silent].tolist() for column in columns), strict=True):
-            self._count(*turn)
+        rows = zip(*(column[~is_silent].tolist() for column in columns), strict=True)
+        for question, asked, contexts, *frames in rows:
+            self._count(
+                self._questions[question],
+                self._questions[asked],
+                {s: CONTEXTS[c] for s, c in zip(self._coding.slots, contexts, strict=True)},
+                self._coding.frame(*frames[:3]),
+                self._coding.frame(*frames[3:]),
+            )
         return heard
 
     def _count(
-        self,
-        question: int,
-        asks_or_question: int,
-        contexts: list[int],
-        act: int,
-        informs: list[int],
-        requests: list[bool],
-        heard_act: int,
-        heard_informs: list[int],
-        heard_requests: list[bool],
+        self, question: str, asked: str, contexts: Mapping[str, str], said: Frame, heard: Frame
     ) -> None:
         self.turns += 1
-        acts, slots, text = self._acts, self._slots, self._vocabulary
-        manner = "asking" if any(heard_requests) else "silent"
-        asked, counted = self._questions[asks_or_question], self._counted
-        said_act = f"{self._questions[question]} {acts[act]} {manner}"
-        counted["acts", said_act, acts[heard_act]] += 1
-        values = list(enumerate(zip(informs, heard_informs, strict=True)))
-        lost = [slot for slot, (said, heard) in values if said and not heard]
-        new = [slot for slot, (said, heard) in values if heard and not said]
-        moved = (lost[0], new[0]) if len(lost) == len(new) == 1 else None
-        for slot, (said, _) in values:
-            if not said:
-                continue
-            target = moved[1] if moved and moved[0] == slot else slot
-            value = heard_informs[target]
-            name = f"{slots[target]}={text[target][value]}" if value else ""
-            counted["values", CONTEXTS[contexts[slot]], slots[slot], text[slot][said], name] += 1
+        counted = self._counted
+        manner = "asking" if heard.requests else "silent"
+        counted["acts", f"{question} {said.act} {manner}", heard.act] += 1
+        lost = [slot for slot in said.informs if slot not in heard.informs]
+        new = [slot for slot in heard.informs if slot not in said.informs]
+        moved = {lost[0]: new[0]} if len(lost) == len(new) == 1 else {}
+        names = {slot: f"{slot}={value}" for slot, value in heard.informs.items()}
+        for slot, value in said.informs.items():
+            name = names.get(moved.get(slot, slot), "")
+            counted["values", contexts[slot], slot, value, name] += 1
         counted["inserted", asked, "turns"] += 1
         for slot in [] if moved else new[:1]:
-            name = f"{slots[slot]}={text[slot][heard_informs[slot]]}"
-            counted["inserted", asked, name] += 1
-        count = min(sum(requests), MAX_REQUESTS)
-        for slot, name in enumerate(slots):
-            said_ = "said" if requests[slot] else "unsaid"
-            pair = self._requests[f"{count} {said_} {CONTEXTS[contexts[slot]]}", name]
-            pair[0] += heard_requests[slot]
+            counted["inserted", asked, names[slot]] += 1
+        count = min(len(said.requests), MAX_REQUESTS)
+        for slot, context in contexts.items():
+            manner = "said" if slot in said.requests else "unsaid"
+            pair = self._requests[f"{count} {manner} {context}", slot]
+            pair[0] += slot in heard.requests
             pair[1] += 1
 
     def counts(self) -> dict[str, Any]:

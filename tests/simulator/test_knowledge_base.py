@@ -52,13 +52,13 @@ def test_look_ups_are_those_of_the_oracle(drawn, slot):
     counted = knowledge_base.counted_values(index).tolist()
     assert int(total) == len(matching)
     assert counted == sorted(counted)
-    texts = [coding.text(int(index), number) for number in counted]
+    texts = [tensors.vocabulary[index][number] for number in counted]
     assert {t: n for t, n in zip(texts, counts.tolist(), strict=True) if n} == on_rows
 
     best = [value for value, count in on_rows.items() if count == max(on_rows.values())]
     value, has_match = knowledge_base.fill(ids, index)
     first = plain.in_order(slot, best)[0] if best else NO_MATCH
-    assert coding.text(int(index), int(value)) == first
+    assert tensors.vocabulary[index][value] == first
     assert bool(has_match) == bool(matching)
 
 
