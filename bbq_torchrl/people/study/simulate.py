@@ -5,6 +5,7 @@ from __future__ import annotations
 import hashlib
 from contextlib import closing
 from random import Random
+from types import SimpleNamespace
 from typing import TYPE_CHECKING, Protocol
 
 from bbq_torchrl.people.study.conversations import Conversations, seed_of
@@ -34,15 +35,6 @@ class User(Protocol):
         """Returns its reply to the agent's act; ``None`` begins the conversation."""
 
 
-class _Clock:
-    """A clock that is set by hand, so that a replayed study has the same times."""
-
-    now = 0.0
-
-    def __call__(self) -> float:
-        return self.now
-
-
 def simulate(
     study: Study,
     talker: Talker,
@@ -68,10 +60,16 @@ def simulate(
         ValueError: an agent cannot be loaded.
     """
     prints = {agent: talker.fingerprint(agent) for agent in study.terms.agents}
-    clock, secret = _Clock(), f"simulated {seed}"
-    with closing(
-        Store(study.data, study.terms, prints, simulated=True, secret=secret, clock=clock)
-    ) as store:
+    clock = SimpleNamespace(now=0.0)  # set by hand: a replayed study has the same times
+    store = Store(
+        study.data,
+        study.terms,
+        prints,
+        simulated=True,
+        secret=f"simulated {seed}",
+        clock=lambda: clock.now,
+    )
+    with closing(store):
         conversations = Conversations(study, store, talker)
         wanted = study.terms.participants
         for place in range(wanted):

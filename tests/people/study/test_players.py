@@ -25,6 +25,7 @@ consent: We study assistants.
 agents: {bbqn: bbqn, dqn: dqn}
 pairs: [[bbqn, dqn]]
 participants: 2
+max_turns: 6
 """
 
 
