@@ -22,14 +22,10 @@ from bbq_torchrl.evaluation.run_result import (
 from scripts import keep_result
 
 
-def test_a_replica_is_summed_up_over_its_dialogues():
+def test_a_run_is_the_mean_of_its_replicas_and_they_of_their_dialogues():
     found = replica_result(2, [1, 0, 0, 1], [32, -13, -15, 30], [9, 4, 6, 11], training_success=0.3)
     assert (found.replica, found.success_rate, found.reward, found.turns) == (2, 0.5, 8.5, 7.5)
-    assert (found.dialogues, found.training_success) == (4, 0.3)
-    assert found.standard_error == 0.25
-
-
-def test_a_run_is_the_mean_of_its_replicas():
+    assert (found.dialogues, found.training_success, found.standard_error) == (4, 0.3, 0.25)
     result = run_result([0.2, 0.4, 0.9])
     assert result.success_rate == pytest.approx(0.5)
     assert result.training_success == pytest.approx(0.25)
