@@ -14,7 +14,6 @@ if __name__ == "__main__":  # before anything that takes time to import
 import json
 import logging
 import math
-import re
 import shlex
 import sys
 from dataclasses import dataclass
@@ -27,7 +26,7 @@ from bbq_torchrl.runs.folders import is_finished, restarted_config, run_lock
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.output import between, page
-from bbq_torchrl.utils.text import sentence, shown
+from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
     from argparse import Namespace
@@ -92,7 +91,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.config_dir is not None:
         load_folder(given.config_dir)
     agents, domains = _agents(given.agents), _domains(given.domains)
-    _refuse_set(given.set)
+    for overrides in (given.set, *agents.values()):
+        _refuse_set(overrides)
     given.budgets = sorted(set(given.budgets))
     cells = [
         cell
@@ -142,7 +142,7 @@ def _parser() -> output.Parser:
     parser.add_argument(
         "--agents",
         nargs="+",
-        default=[],
+        required=True,
         help="recipes of conf/experiment/agents, such as bbqn_map, or of your own: "
         "'<name>: agent=<option> <key>=<value> ...'",
     )
@@ -185,28 +185,16 @@ def _error(text: str) -> str:
 
 
 def _agents(given: Sequence[str]) -> dict[str, list[str]]:
-    """Returns name -> overrides of ``bbq train``."""
-    known = options(EXPERIMENT)
-    names = ", ".join(name.removeprefix("agents/") for name in known if "agents/" in name)
-    if not given:
-        raise ConfigError(
-            f"--agents must name at least one agent: a recipe ({names}, ...) or "
-            "'<name>: <key>=<value> ...'"
-        )
+    """Returns name -> overrides of ``bbq train``; Hydra refuses a recipe that it does not find."""
     agents: dict[str, list[str]] = {}
     for text in given:
         name, colon, own = text.partition(":")
-        recipe = next((one for one in (f"agents/{name}", name) if one in known), None)
-        if colon and re.fullmatch(r"[\w.+-]+", name):
+        if colon:
             overrides = shlex.split(own)
-            _refuse_set(overrides)
-        elif recipe and not colon:
-            name, overrides = name.replace("/", "_"), [f"+{EXPERIMENT}={recipe}"]
         else:
-            raise ConfigError(
-                f"--agents must have recipes ({names}, ...) or '<name>: <key>=<value> ...', got "
-                f"{shown(text)}"
-            )
+            within = f"agents/{name}" in options(EXPERIMENT)
+            overrides = [f"+{EXPERIMENT}={f'agents/{name}' if within else name}"]
+        name = name.replace("/", "_")
         if name in agents:
             raise ConfigError(f"--agents must have distinct names, got {name} twice")
         agents[name] = overrides
@@ -358,18 +346,11 @@ def _write(given: Namespace, command: str, cells: Sequence[Cell], missing: list[
             scripts[setting_name(cell.setting)] = result.scripted | result.references
         about.append(entry)
     settings = list(dict.fromkeys(cell.setting for cell in cells))
-    left_out = {
-        "domains": [name for name in DOMAINS if name not in {domain for domain, _ in settings}],
-        "errors": [name for name in ERRORS if name not in given.errors],
-        "budgets": [f"{budget:,}" for budget in BUDGETS if budget not in given.budgets],
-        "seeds": [f"{given.seeds} of {SEEDS}"] if given.seeds < SEEDS else [],
-    }
     content = {
         "command": command,
         "budgets": given.budgets,
         "seeds": given.seeds,
         "missing": missing,
-        "left_out": [f"{key} {', '.join(names)}" for key, names in left_out.items() if names],
         "scripts": scripts,
         "cells": about,
     }

@@ -50,9 +50,6 @@ the second. Their 95 % intervals are bootstrapped within each setting, from five
 mean difference of the same seeds, which saw the same goals and random numbers, averaged over
 settings, with its t interval."""
 
-ABSENT = {"missing": "Missing", "left_out": "Not in this bench"}
-"""Keys of bench.json that open the page -> their headings."""
-
 Row = dict[str, Any]
 Setting = tuple[str, str]
 
@@ -101,7 +98,7 @@ def bench_report(
         rows: the rows of the finished cells.
         agents: names in order.
         settings: settings in order.
-        about: the content of bench.json: ``budgets``, ``missing``, ``left_out``, ``scripts``.
+        about: the content of bench.json: ``budgets``, ``missing``, ``scripts``.
     """
     budgets = about["budgets"]
     cells: dict[tuple[str, Setting], list[Row]] = {}
@@ -109,7 +106,7 @@ def bench_report(
         cells.setdefault((row["agent"], (row["domain"], row["errors"])), []).append(row)
     whole = [one for one in settings if all((agent, one) in cells for agent in agents)]
     parts: list[str | Table] = [
-        *(f"**{head}:** {'; '.join(about[key])}." for key, head in ABSENT.items() if about[key]),
+        *([f"**Missing:** {'; '.join(about['missing'])}."] if about["missing"] else []),
         "## Over settings",
     ]
     figures: dict[str, tuple[str, Callable[[], Any]]] = {}

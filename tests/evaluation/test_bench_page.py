@@ -28,7 +28,7 @@ def page(**about):
         for (agent, (domain, errors)), rates in RATES.items()
         for number, rate in enumerate(rates)
     ]
-    given = {"budgets": [50], "missing": [], "left_out": [], "scripts": {}, "command": "bbq bench"}
+    given = {"budgets": [50], "missing": [], "scripts": {}, "command": "bbq bench"}
     return bench_report(rows, ["a", "b"], SETTINGS, given | about)
 
 
@@ -55,11 +55,8 @@ def test_a_level_that_few_seeds_reach_is_censored():
 
 
 def test_what_is_missing_comes_first():
-    text = str(page(missing=["b on hotel, errors 0.2 (not trained)"], left_out=["seeds 5 of 10"]))
-    assert text.startswith(
-        "# Benchmark\n\n**Missing:** b on hotel, errors 0.2 (not trained).\n\n"
-        "**Not in this bench:** seeds 5 of 10.\n"
-    )
+    text = str(page(missing=["b on hotel, errors 0.2 (not trained)"]))
+    assert text.startswith("# Benchmark\n\n**Missing:** b on hotel, errors 0.2 (not trained).\n")
 
 
 def test_figures_are_drawn(tmp_path):
