@@ -115,7 +115,7 @@ def _serve(given: argparse.Namespace) -> None:
         interruption.tell(lambda: "while serving", lambda: "the same command continues the study")
         import uvicorn
 
-        from bbq_torchrl.people.study.store import Store
+        from bbq_torchrl.people.study.storage import Store
         from bbq_torchrl.people.study.web import JOIN, RESEARCHER, application
 
         prints = {agent: talker.fingerprint(agent) for agent in study.terms.agents}

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.people.dialogue.judge import Judge
 from bbq_torchrl.people.study.database import SCALES, current
-from bbq_torchrl.people.study.store import JoinRateError
+from bbq_torchrl.people.study.storage import JoinRateError
 from bbq_torchrl.utils.text import TextError, clean
 
 if TYPE_CHECKING:
@@ -21,7 +21,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.dialogue import Talker
     from bbq_torchrl.people.study.database import Exchange, Session
     from bbq_torchrl.people.study.plan import Study
-    from bbq_torchrl.people.study.store import Store
+    from bbq_torchrl.people.study.storage import Store
 
 _NONCE = re.compile(r"[A-Za-z0-9_-]{20,40}", re.ASCII)
 _ID = re.compile(r"[A-Za-z0-9_][\w.:@+=~-]{0,127}", re.ASCII)

@@ -22,7 +22,7 @@ from bbq_torchrl.people.study.database import (
 )
 from bbq_torchrl.people.study.outcomes import report_names
 from bbq_torchrl.people.study.plan import StudyError
-from bbq_torchrl.people.study.store import hashed
+from bbq_torchrl.people.study.storage import hashed
 from bbq_torchrl.utils.files import write_text
 from bbq_torchrl.utils.text import shown
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Protocol
 
 from bbq_torchrl.people.study.conversations import Conversations, seed_of
 from bbq_torchrl.people.study.database import HIGHEST, LOWEST, SCALES, current
-from bbq_torchrl.people.study.store import Store
+from bbq_torchrl.people.study.storage import Store
 
 if TYPE_CHECKING:
     from collections.abc import Callable

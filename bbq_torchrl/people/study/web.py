@@ -23,7 +23,7 @@ from bbq_torchrl.people.dialogue.judge import card
 from bbq_torchrl.people.study.address import Address
 from bbq_torchrl.people.study.conversations import Conversations, RefusedError, ids_of
 from bbq_torchrl.people.study.database import StoreError, current
-from bbq_torchrl.people.study.store import ForgottenError
+from bbq_torchrl.people.study.storage import ForgottenError
 from bbq_torchrl.utils.text import MAX_CHARACTERS, shown
 
 if TYPE_CHECKING:
@@ -35,7 +35,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.dialogue import Talker
     from bbq_torchrl.people.study.database import Session
     from bbq_torchrl.people.study.plan import Study
-    from bbq_torchrl.people.study.store import Store
+    from bbq_torchrl.people.study.storage import Store
 
 JOIN, RESEARCHER = "join", "researcher"
 """The purposes of the keys in the two links that :meth:`Store.key` makes."""

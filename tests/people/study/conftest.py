@@ -14,7 +14,7 @@ from starlette.testclient import TestClient
 
 from bbq_torchrl.people.study import load_study
 from bbq_torchrl.people.study.database import SCALES, current
-from bbq_torchrl.people.study.store import Store
+from bbq_torchrl.people.study.storage import Store
 from bbq_torchrl.people.study.web import JOIN, RESEARCHER, application
 
 from .fakes import FakeTalker, prints

@@ -12,7 +12,7 @@ from bbq_torchrl.people.study.__main__ import main
 from bbq_torchrl.people.study.database import StoreError, current, opened
 from bbq_torchrl.people.study.export import backup, defused, forget, without_names
 from bbq_torchrl.people.study.outcomes import read_outcomes
-from bbq_torchrl.people.study.store import Store
+from bbq_torchrl.people.study.storage import Store
 
 from .conftest import RATED
 from .fakes import prints

@@ -15,7 +15,7 @@ from bbq_torchrl.people.study.export import export
 from bbq_torchrl.people.study.outcomes import read_outcomes
 from bbq_torchrl.people.study.report import report
 from bbq_torchrl.people.study.simulate import RATING_RULE, drawn_ratings, simulate
-from bbq_torchrl.people.study.store import Store
+from bbq_torchrl.people.study.storage import Store
 
 from .conftest import STUDY
 from .fakes import FakeTalker, prints, script

@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 
 from bbq_torchrl.people.study.database import SCALES, StoreError, current, opened
-from bbq_torchrl.people.study.store import JoinRateError, Store
+from bbq_torchrl.people.study.storage import JoinRateError, Store
 
 from .fakes import FakeTalker, prints
 
