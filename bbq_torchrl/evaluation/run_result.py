@@ -86,15 +86,14 @@ class RunResult:
         per_replica: an entry for each replica.
         wall_seconds: time of training and evaluation, without that of killed processes.
         versions: package -> version, for the packages that affect the numbers.
-        intrinsic: the option; ``none`` in results of versions without it.
+        intrinsic: the option.
         while_training: the evaluations during training, means over the replicas (also of
             ``best_round``); None without any.
-        scripted: scripted policy -> success rate in the environment of the final evaluation; empty
-            in results of versions without it.
+        scripted: scripted policy -> success rate in the environment of the final evaluation.
         references: the same for privileged policies, which read what no agent observes.
         skipped: a sentence for each part of the corpus left out.
         commit: hash of the code's commit, the last one for a resumed training; None outside a
-            checkout, and in results of versions without it.
+            checkout.
         clean: whether the code was as committed; None if unknown.
     """
 

@@ -127,18 +127,9 @@ def test_a_best_from_before_the_domain_grew_counts_until_the_next_evaluation(sma
         assert best.round.tolist() == [expected] * 2, number
 
 
-def test_a_run_that_is_not_evaluated_while_training_has_no_best_weights(small, tmp_path):
-    result = run(small("protocol.rounds=1", "protocol.eval_every=0"), tmp_path)
-    assert read_result(tmp_path) == result
-    assert result.while_training is None
-    given = [f"policy={tmp_path}", "dialogues=5", "weights=best"]
-    with pytest.raises(ConfigError, match="weights"):
-        command.evaluation(command.composed(given))
-
-
 def test_a_run_ends_with_its_success_beside_the_scripted_policies(small, tmp_path, caplog):
     choices = ("protocol.eval_dialogues=400", "protocol.eval_batch=800", "env.max_turn=40")
-    config = small("agent=dqn", "protocol.rounds=1", *choices)
+    config = small("agent=dqn", "protocol.rounds=1", "protocol.eval_every=0", *choices)
     with caplog.at_level(logging.INFO, "bbq_torchrl"):
         result = run(config, tmp_path)
 
@@ -156,3 +147,9 @@ def test_a_run_ends_with_its_success_beside_the_scripted_policies(small, tmp_pat
     # 400 dialogues and 1,000 others: at most five standard errors apart.
     spread = math.sqrt(0.25 / 400 + 0.25 / 1000)
     assert result.scripted[best] == pytest.approx(alone["success_rate"], abs=5 * spread)
+
+    # It was not evaluated while training, so there are no best weights.
+    assert read_result(tmp_path) == result
+    assert result.while_training is None
+    with pytest.raises(ConfigError, match="weights"):
+        command.evaluation(command.composed([f"policy={tmp_path}", "dialogues=5", "weights=best"]))
