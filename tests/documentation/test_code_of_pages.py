@@ -74,14 +74,13 @@ def printed(page, language, start):
     return found
 
 
-@pytest.mark.parametrize("seed", range(2))
-def test_the_whole_loop_learns_by_the_defaults(seed):
+def test_the_whole_loop_learns_by_the_defaults():
     pytest.importorskip("gymnasium")
     text = printed(PARTS, "python", "import torch\nfrom torchrl.collectors")
     assert not BAYESIAN & set(re.findall(r"\w+", text))
     names = {}
     exec(compile(text, str(PARTS), "exec"), names)
-    assert names["cartpole"](seed) >= 150
+    assert names["cartpole"](seed=0) >= 150
 
 
 @pytest.fixture
