@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ast
 import re
 import shlex
 import shutil
@@ -13,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from bbq_torchrl.options import Config, EvaluateConfig, schemas
-from scripts import mkdocs_hooks, write_docs
+from scripts import write_docs
 
 from .pages import PAGES, ROOT, snippets
 
@@ -66,27 +65,6 @@ def test_links_lead_somewhere(page):
             assert not anchor or anchor in anchors(file), target
 
 
-def docstrings(file):
-    kinds = (ast.Module, ast.ClassDef, ast.FunctionDef, ast.AsyncFunctionDef)
-    nodes = ast.walk(ast.parse(file.read_text(encoding="utf-8")))
-    return [ast.get_docstring(node) or "" for node in nodes if isinstance(node, kinds)]
-
-
-def in_another_dialect(docstring):
-    """The arguments and attributes with a type, and the defaults told otherwise."""
-    sections = re.findall(r"^(?:\w+ )?(?:Args|Attributes):\n((?:    .*\n?|\n)*)", docstring, re.M)
-    typed = [name for text in sections for name in re.findall(r"^    ([\w*]+ \(.*\):)", text, re.M)]
-    return typed + re.findall(r"\bDefault: .*", docstring)
-
-
-def test_docstrings_leave_types_to_the_signature_and_tell_defaults_one_way():
-    other = "Do.\n\nKeyword Args:\n    *a (tuple of int, optional): of\n        it. Default: 1."
-    assert in_another_dialect(other) == ["*a (tuple of int, optional):", "Default: 1."]
-    files = sorted((ROOT / "bbq_torchrl").rglob("*.py"))
-    found = {file: [*map(in_another_dialect, docstrings(file))] for file in files}
-    assert not [file for file, others in found.items() if any(others)]
-
-
 @pytest.mark.parametrize("ending", [r"train\.py", "pytest"])
 def test_ci_finds_the_readmes_one_line_commands(ending):
     commands = rf"^python3 -m venv \.venv && .*{ending}"
@@ -132,10 +110,3 @@ def test_the_site_has_every_page_and_searches_without_a_server():
     assert "\n  - offline\n" in configuration
     [script] = re.findall(r"polyfills:\n +- (\S*iframe-worker\S*)\n", configuration)
     assert "window.Worker=" in text_of("docs", script)
-
-
-def test_files_of_the_root_are_pages_with_links_that_hold():
-    shown = mkdocs_hooks.on_page_markdown(text_of("docs", "contributing.md"))
-    assert "\n## [0.1.0]" in shown
-    for link in re.findall(r"\]\(([\w/]+\.\w+)[)#]", shown):
-        assert (DOCS / link).is_file(), link
