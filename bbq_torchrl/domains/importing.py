@@ -27,7 +27,7 @@ from bbq_torchrl.utils import output
 
 if TYPE_CHECKING:
     import argparse
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from bbq_torchrl.domains.folder import Corpus
 
@@ -220,25 +220,11 @@ def _cleaned(corpus: Corpus, out: set[str]) -> tuple[Corpus, list[str]]:
             if slot not in out
         },
     }
-    dropped = Counter(slot for slot in _slots_of(corpus) if slot in out)
     return after, [
-        *(f"{slot} is left out of {count} entries" for slot, count in dropped.items()),
-        *(
-            f"{count} values of {slot} are respelled, with single blanks or in the most frequent "
-            "spelling"
-            for slot, count in changed.items()
-            if count
-        ),
+        f"{count} values of {slot} are respelled as most often, with single blanks"
+        for slot, count in changed.items()
+        if count
     ]
-
-
-def _slots_of(corpus: Corpus) -> Iterator[str]:
-    """Yields the slots that each entry names."""
-    for record in corpus["records"].values():
-        yield from record
-    for goal in corpus["goals"].values():
-        yield from (*goal.constraints, *goal.requests)
-    yield from corpus["error_values"]
 
 
 def _only_in_goals(domain: Domain) -> dict[str, list[str]]:
