@@ -93,7 +93,7 @@ class Settings:
 
 
 def default_settings(name: str) -> Settings:
-    """Returns an agent's settings in the sweep, chosen by the trials that docs/deep_sea.md lists.
+    """Returns an agent's settings in the sweep, chosen by the trials that results/NOTES.md tells.
 
     BBQN needs more mini-batches: with as few as the other agents it solved N = 8 in no trial. Its
     initial posterior is narrow, except for the paper's, which is the prior. The bootstrap has a

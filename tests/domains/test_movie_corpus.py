@@ -103,7 +103,7 @@ def test_records_and_goals_are_as_described(corpus, records, error, goals, goal_
 
 @pytest.mark.parametrize(
     ("corpus", "goals", "met", "answerable"),
-    # Of our goals 94.0 % are met (docs/environment.md), where of the public ones 94.3 are.
+    # Of our goals 94.0 % are met (docs/how_it_works.md), where of the public ones 94.3 are.
     [("movie", 200, 188, 168), ("miulab", 194, 183, 163), (V1, 128, 125, 118)],
     indirect=["corpus"],
 )

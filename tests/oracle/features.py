@@ -1,4 +1,4 @@
-"""The features of a state, in the order of docs/environment."""
+"""The features of a state, in the order of docs/how_it_works.md."""
 
 from __future__ import annotations
 
