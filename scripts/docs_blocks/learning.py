@@ -6,7 +6,7 @@ from collections import defaultdict
 from statistics import fmean, median
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.evaluation.curves import Reach, rounds_to_reach
+from bbq_torchrl.evaluation.curves import Reach
 from bbq_torchrl.evaluation.pairs import EARLY
 from bbq_torchrl.utils.reports import NONE
 from bbq_torchrl.utils.statistics import estimate
@@ -73,20 +73,6 @@ def _tried(file: str, end: str, name: str) -> str:
         columns = zip(zip(*of, strict=True), base, strict=True)
         rows.append((other, *(paired(own, first) for own, first in columns)))
     return table((f"variant, {len(values)} seeds", "cumulative", name), rows, numbers=2)
-
-
-@block("learning.quick")
-def _quick() -> str:
-    """Returns a row for each seed of the README's first command."""
-    own = group("quick")
-    reached = rounds_to_reach(own.evaluation, 0.6, window=1).tolist()
-    rows = [
-        (seed, f"{final:.3f}", f"{training:.3f}", f"{rounds:.0f}")
-        for (seed, *_), final, training, rounds in zip(
-            own.members, own.final, own.cumulative, reached, strict=True
-        )
-    ]
-    return table(("seed", "final success", "cumulative", "rounds to 0.6"), rows, numbers=4)
 
 
 @block("learning.expect")

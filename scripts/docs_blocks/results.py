@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import json
 from collections import Counter
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
@@ -20,7 +19,7 @@ from bbq_torchrl.evaluation.run_result import reference_lines
 from bbq_torchrl.utils.reports import NONE, draw_intervals, save
 from bbq_torchrl.utils.statistics import ALPHA, estimate
 from scripts.docs_blocks import common
-from scripts.docs_blocks.common import block, code, commands, groups, minus, paired, table
+from scripts.docs_blocks.common import block, code, commands, groups, minus, table
 from scripts.docs_blocks.tables import measured
 
 if TYPE_CHECKING:
@@ -52,33 +51,14 @@ EXPERIMENTS = {
 }
 """Experiment -> title; corpus and setting of its scripted policies in policies.json."""
 
-EXPLORERS = {
-    "BBQN-MAP": ("bbqn",),
-    "DQN": ("dqn/0_epsilon_greedy", "dqn/1_greedy", "dqn/2_boltzmann"),
-    "DQN, dropout .5": (
-        "dqn/3_epsilon_greedy_dropout",
-        "dqn/4_greedy_dropout",
-        "dqn/5_boltzmann_dropout",
-    ),
-    "DQN-Bootstrap": ("bootstrap",),
-}
-"""Learner -> its runs in the experiment on explorers, the first of which is the reference."""
-
-ABLATIONS = (
-    {"draw_episode": "one draw per episode", "draw_round_shared": "one shared draw per round"},
-    {"errors_0": "slot errors 0", "errors_.1": "slot errors .1", "errors_.2": "slot errors .2"},
-    {f"kl_temperature_{value}": f"KL × {value}" for value in (".003", ".1", ".3", "1")},
-    {f"prior_std_{value}": f"prior's std {value}" for value in (".01", ".1", ".3")},
-    {"spike_20": "20 spiked dialogues", "spike_1000": "1,000 spiked dialogues"},
-    {"spike_none": "no spike"},
-    {"spike_drop_.3": "spike dropped at .3", "spike_drop_.5": "spike dropped at .5"},
-    {"spike_unprotected": "spike not protected"},
-    {"start_zero": "means start at zero"},
-)
-"""Runs that change one key -> what they change; p-values of one key are adjusted together."""
-
 COMPARED = yaml.safe_load(Path(__file__).with_name("compared.yaml").read_text(encoding="utf-8"))
-"""Compared runs and the claims about them."""
+"""Compared runs, the claims about them, explorers and ablations."""
+
+EXPLORERS: dict[str, list[str]] = COMPARED["explorers"]
+"""Learner -> its runs, the first of which is the reference."""
+
+ABLATIONS: list[dict[str, str]] = COMPARED["ablations"]
+"""Runs that change one key -> what they change; p-values of one key are adjusted together."""
 
 QUANTITIES = {"final": "end", "early": f"first {EARLY:,}", "cumulative": "all of training"}
 """Quantity of a pairing -> its column."""
@@ -186,18 +166,6 @@ def _starred(first: Group, others: Sequence[Group]) -> list[tuple[str, ...]]:
         marks = ["*" if p_value < ALPHA else "" for p_value in adjusted(gaps)]
         columns.append([f"{difference(gap)}{mark}" for gap, mark in zip(gaps, marks, strict=True)])
     return [*zip(*columns, strict=True)]
-
-
-@block("results.modes")
-def _modes() -> str:
-    """Returns the success of one posterior's policies and their paired difference to its mean's."""
-    lines = (common.RESULTS / "modes.jsonl").read_text(encoding="utf-8").splitlines()
-    played = {entry["mode"]: entry["success_rate_per_replica"] for entry in map(json.loads, lines)}
-    rows = [
-        (code(mode), estimate(rates), NONE if mode == "mean" else paired(rates, played["mean"]))
-        for mode, rates in played.items()
-    ]
-    return table(("evaluated by", "success", "minus the mean's"), rows, numbers=2)
 
 
 def _rates(corpus: str, setting: str) -> dict[str, float]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from pathlib import Path
 from statistics import fmean
 from typing import Any
@@ -46,36 +45,6 @@ def _cartpole() -> str:
     cells = {(names[row["agent"]], f"seed {row['seed']}"): row["return"] for row in found}
     command = "python examples/cartpole_bbqn.py --agent bbqn --seed 0 --file results/cartpole.csv"
     return f"{pivot('return', cells)}\n\n```bash\n{command}\n```"
-
-
-@block("results.tandem", "bbqn_map_dqn", "dqn_dqn", "dqn_bbqn_map")
-def _tandem(*files: str) -> str:
-    """Returns the success of agents that learn from another agent's dialogues.
-
-    Args:
-        files: of ``examples/tandem.py``; whoever is passive in one is active in another.
-    """
-    names = {"bbqn_map": "BBQN-MAP", "dqn": "DQN"}
-    curves: dict[tuple[str, str], dict[str, dict[str, float]]] = {}
-    for file in files:
-        lines = read_csv(f"tandem/{file}.csv")
-        agents = {line["role"]: line["agent"] for line in lines}
-        for line in lines:
-            whose = "its own" if line["role"] == "active" else f"a {names[agents['active']]}'s"
-            of_replica = curves.setdefault((line["agent"], whose), defaultdict(dict))
-            of_replica[line["replica"]][line["rounds"]] = float(line["success_rate"])
-    rows = []
-    for (learner, whose), of_replica in sorted(curves.items(), reverse=True):
-        row = [names[learner], whose]
-        for span in (slice(None), slice(-5, None)):
-            own, first = (
-                [fmean([*curve.values()][span]) for curve in of.values()]
-                for of in (of_replica, curves[learner, "its own"])
-            )
-            row += [estimate(own), "–" if own == first else paired(own, first)]
-        rows.append(row)
-    head = ("learner", "dialogues", "mean of all", "difference", "last 25", "difference")
-    return table(head, rows, numbers=4)
 
 
 @block("language.quality")
