@@ -61,14 +61,6 @@ def numbers_in_order(folder: Path | str) -> list[tuple[bool, int, str]]:
     return [(part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts]
 
 
-def is_utf8(path: Path) -> bool:
-    """Returns whether a file name is UTF-8, which torch and TensorBoard expect.
-
-    Under another locale, and in names that are arbitrary bytes, it may not be.
-    """
-    return os.fsencode(path) == os.fspath(path).encode(errors="replace")
-
-
 def write_text(path: Path, text: str, mode: int = 0o666) -> None:
     """Writes a file atomically: readers, and a crash, leave the old or the new text, never a part.
 
