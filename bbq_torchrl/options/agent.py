@@ -137,27 +137,21 @@ class BBQN(AgentOption):
     prior_std: Any = setting(
         0.037,
         or_text(per_replica(POSITIVE), "fan_in"),
-        "std of the prior; fan_in: sqrt(2 / fan-in) of each layer",
+        "std of the prior; fan_in: sqrt(2 / fan-in)",
     )
     mean_init: str = setting("kaiming", one_of("zero", "kaiming"), "initial posterior means")
-    std_init: Any = setting(
-        0.02, optional(per_replica(POSITIVE), "prior_std"), "initial posterior stds"
-    )
+    std_init: Any = setting(0.02, optional(per_replica(POSITIVE), "prior_std"), "posterior's start")
     noise_std: Values = setting(1.0, per_replica(POSITIVE), "std of the target's noise, unit of Q")
     kl: str = setting("closed", one_of("closed", "sampled"), "how KL(q || p) is computed")
     kl_temperature: Values = setting(0.014, per_replica(NON_NEGATIVE), "factor on the KL term")
-    target: str = setting(
-        "map", one_of("map", "mc"), "target from the frozen posterior's mean, or from a draw of it"
-    )
+    target: str = setting("map", one_of("map", "mc"), "target at the frozen mean, or at a draw")
     target_noise: str | None = setting(
         None,
         optional(one_of("mean", "independent", "shared"), "mean for map, independent for mc"),
-        "noise of the target's weights: none, an independent draw, or that of the online draw",
+        "noise of the target's weights: none, another draw, or that of the online draw",
     )
     evaluate: str = setting(
-        "mean",
-        one_of(*EVALUATION_MODES),
-        "policy evaluated: mean network, average of draws, one draw, or a new draw at every step",
+        "mean", one_of(*EVALUATION_MODES), "policy evaluated; thompson: a new draw at every step"
     )
     evaluate_draws: int = setting(10, SIZE, "number of draws that evaluate=average averages")
 
@@ -207,16 +201,10 @@ class Bootstrap(AgentOption):
     name: str = option("bootstrap")
     heads: int = setting(10, SIZE, "number of heads")
     trunk_layers: int | None = setting(
-        None,
-        optional(NON_NEGATIVE_INTEGER, "all hidden layers"),
-        "hidden layers that the heads share; 0: a separate network for each head",
+        None, optional(NON_NEGATIVE_INTEGER, "all"), "hidden layers that the heads share"
     )
-    mask_prob: float = setting(
-        1.0, ABOVE_ZERO_TO_ONE, "probability that a head learns from a transition"
-    )
-    prior_scale: float = setting(
-        3.0, NON_NEGATIVE, "scale of the randomized prior functions; 0: none"
-    )
+    mask_prob: float = setting(1.0, ABOVE_ZERO_TO_ONE, "probability of learning from a transition")
+    prior_scale: float = setting(3.0, NON_NEGATIVE, "scale of the randomized prior functions")
     double: bool = setting(False, BOOLEAN, "choose the target's action by the online head")
 
     # The greedy action is a majority vote of the heads, which has no values for a softmax.

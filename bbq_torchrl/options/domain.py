@@ -89,9 +89,7 @@ class MiuLabDomain(DomainOption):
     kb: str = setting("movie_kb.1k.p", ANY_TEXT, "file of the knowledge base")
     values: str = setting("dicts.v3.p", ANY_TEXT, "file of the values that errors draw from")
     skip_unusable: bool = setting(
-        True,
-        BOOLEAN,
-        "leave out and report unusable goals, rows and slots; false: refuse them",
+        True, BOOLEAN, "leave out and report unusable goals, rows and slots; false: refuse them"
     )
 
     def make(self) -> Domain:

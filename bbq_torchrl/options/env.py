@@ -129,19 +129,13 @@ class FullDomain(EnvOption):
     )
     intent_error_prob: float = setting(0.0, PROBABILITY, "probability of a random user act")
     level: str = setting(
-        "act",
-        one_of("act", "text"),
-        "users' output: dialogue acts, or, in evaluations only, sentences",
+        "act", one_of("act", "text"), "users' output: acts, or, in evaluations only, sentences"
     )
     errors: str = setting(
-        "drawn",
-        one_of("drawn", "measured"),
-        "errors in dialogue acts: drawn with the probabilities, or as measured in sentences",
+        "drawn", one_of("drawn", "measured"), "errors in acts: by probability, or as in sentences"
     )
     ask_below: float | None = setting(
-        None,
-        optional(PROBABILITY, "the nlu's default"),
-        "with level=text: confidence below which the system asks a user again; 0: never",
+        None, optional(PROBABILITY, "the nlu's"), "for level=text: confidence to ask again below"
     )
     max_turn: int = setting(40, integers(2, 1_000), "turns of a dialogue, counting both sides")
     success_reward: float = setting(40.0, REWARD, "reward of a dialogue that succeeds")

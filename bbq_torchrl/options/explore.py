@@ -47,9 +47,7 @@ class ExploreOption(Option):
 
     group: ClassVar[str] = "explore"
 
-    uniform_first: bool = setting(
-        False, BOOLEAN, "play uniformly at random until a replica's first success in training"
-    )
+    uniform_first: bool = setting(False, BOOLEAN, "play at random until a replica's first success")
 
     requires: ClassVar[tuple[str, ...]] = ()
 
@@ -102,9 +100,7 @@ class EpsilonGreedy(ExploreOption):
     name: str = option("epsilon_greedy")
     eps_init: Values = setting(0.04, per_replica(PROBABILITY), "epsilon in the first round")
     eps_end: Values = setting(0.01, per_replica(PROBABILITY), "epsilon after annealing")
-    anneal_fraction: float = setting(
-        0.5, PROBABILITY, "share of the rounds over which epsilon falls linearly"
-    )
+    anneal_fraction: float = setting(0.5, PROBABILITY, "share of the rounds in which epsilon falls")
 
     def check(self) -> None:
         """Refuses an epsilon that rises."""
@@ -136,13 +132,9 @@ class BoltzmannActing(ExploreOption):
     """Actions drawn from softmax(Q / temperature)."""
 
     name: str = option("boltzmann")
-    temperature_init: Values = setting(
-        0.7, per_replica(POSITIVE), "temperature in the first round, units of Q"
-    )
+    temperature_init: Values = setting(0.7, per_replica(POSITIVE), "first temperature, units of Q")
     temperature_end: Values = setting(0.7, per_replica(POSITIVE), "temperature after annealing")
-    anneal_fraction: float = setting(
-        0.5, PROBABILITY, "share of the rounds over which the temperature falls linearly"
-    )
+    anneal_fraction: float = setting(0.5, PROBABILITY, "share of the rounds in which it falls")
 
     requires: ClassVar[tuple[str, ...]] = ("values",)
 

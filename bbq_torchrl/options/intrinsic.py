@@ -60,12 +60,8 @@ class VIME(IntrinsicOption):
     """VIME: a reward for a transition's information gain about a Bayesian dynamics model."""
 
     name: str = option("vime")
-    eta: Values = setting(
-        0.1, per_replica(NON_NEGATIVE), "factor of the information gain, in units of reward"
-    )
-    weights: str = setting(
-        "map", one_of("map", "mc"), "information gain at the mean weights, or at a weight draw"
-    )
+    eta: Values = setting(0.1, per_replica(NON_NEGATIVE), "reward of the median information gain")
+    weights: str = setting("map", one_of("map", "mc"), "gain at the mean weights, or at a draw")
     hidden: list[int] = setting([64, 64], COUNTS, "units of each hidden layer of the dynamics")
     prior_std: float = setting(0.1, POSITIVE, "std of the prior of the dynamics' weights")
     noise_std: float = setting(1.0, POSITIVE, "std of the standardized next state")

@@ -36,9 +36,7 @@ class ProtocolOption(Option):
     batch_size: int = setting(32, BATCH, "transitions of an update")
     lr: float = setting(1e-3, STEP_SIZE, "learning rate of Adam")
     lr_final: float = setting(1.0, PROBABILITY, "factor on learning rates in the last round")
-    lr_decay_from: float = setting(
-        0.5, BELOW_ONE, "share of the rounds after which learning rates fall linearly to lr_final"
-    )
+    lr_decay_from: float = setting(0.5, BELOW_ONE, "share of the rounds before learning rates fall")
     freezes: int = setting(2, COUNT, "target freezes of a round")
     epochs: int = setting(2, COUNT, "passes over the buffer after each freeze")
     updates_per_round: int | None = setting(
@@ -51,9 +49,7 @@ class ProtocolOption(Option):
     eval_every_dialogues: int = setting(400, STORED, "dialogues of a replica in such evaluations")
     checkpoint_every: int = setting(10, COUNT, "rounds between two checkpoints")
     keep_checkpoints: str = setting(
-        "weights",
-        one_of("all", "last", "weights"),
-        "keep every checkpoint, the last two, or, once the run has finished, only the weights",
+        "weights", one_of("all", "last", "weights"), "all, the last two, or at the end the weights"
     )
 
     def lr_share(self, round_number: int) -> float:

@@ -80,23 +80,15 @@ class EvaluateConfig:
     env: EnvOption = REQUIRED  # type: ignore[assignment]
     domain: DomainOption = REQUIRED  # type: ignore[assignment]
     policy: str = setting(
-        REQUIRED,
-        ANY_TEXT,
-        "random, a scripted policy of the domain (rule, ...), the privileged clairvoyant, a run "
-        "folder, or shipped:<name>",
+        REQUIRED, ANY_TEXT, "random, clairvoyant, a script, a run folder, or shipped:<name>"
     )
     dialogues: int = setting(10_000, PLAYED, "dialogues played, by each replica of a run folder")
     batch: int = setting(2_500, BATCH, "dialogues played in parallel")
     mode: str | None = setting(
-        None,
-        optional(ANY_TEXT, "the agent's default"),
-        "policy of an agent with several, such as bbqn: mean network, average of draws, one draw, "
-        "or thompson, a new draw at every step",
+        None, optional(ANY_TEXT, "the agent's default"), "mean, average, draw or thompson, for bbqn"
     )
     weights: str = setting(
-        "last",
-        one_of("last", "best"),
-        "a run's weights: the latest, or each replica's at its best evaluation during training",
+        "last", one_of("last", "best"), "the latest, or each replica's at its best evaluation"
     )
     log: str | None = setting(None, optional(ANY_TEXT, "none"), "file for readable dialogues")
     log_dialogues: int = setting(10, COUNT, "dialogues written to log")

@@ -12,8 +12,8 @@ from bbq_torchrl.settings import (
     BOOLEAN,
     NON_NEGATIVE_INTEGER,
     POSITIVE,
-    Allowed,
     ConfigError,
+    integers,
     option,
     optional,
     other_default,
@@ -34,19 +34,13 @@ class SpikeOption(Option):
 
     dialogues: int = setting(100, NON_NEGATIVE_INTEGER, "scripted dialogues put into the buffer")
     policy: str | None = setting(
-        None,
-        optional(ANY_TEXT, "spike=rule: the domain's first that succeeds; best: its best"),
-        "scripted policy of the domain that plays them",
+        None, optional(ANY_TEXT, "rule: the first that succeeds; best: the best"), "script of them"
     )
     protect: bool = setting(True, BOOLEAN, "never evict spiked transitions")
     margin: float = setting(
-        0.0,
-        AT_LEAST_ZERO,
-        "margin, in units of Q, of spiked actions ahead of all others (DQfD); 0: not imitated",
+        0.0, AT_LEAST_ZERO, "margin of spiked actions (DQfD), in units of Q; 0: not imitated"
     )
-    margin_factor: float = setting(
-        30.0, POSITIVE, "factor of the margin's loss, next to 1 for the squared error"
-    )
+    margin_factor: float = setting(30.0, POSITIVE, "factor of the margin's loss")
 
     def check(self) -> None:
         """Refuses imitation of transitions that cannot be told from others."""
@@ -74,11 +68,7 @@ class NoSpike(SpikeOption):
     """An empty buffer."""
 
     name: str = option("none")
-    dialogues: int = setting(
-        0,
-        Allowed("0, or be given with spike=rule", lambda value: value == 0),
-        "scripted dialogues put into the buffer",
-    )
+    dialogues: int = setting(0, integers(0, 0), "scripted dialogues put into the buffer")
 
 
 @register
