@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from bbq_torchrl.evaluation.curves import Metrics, areas, booked, read_metrics, rounds_to_reach
-from bbq_torchrl.evaluation.groups import Group, read_groups
-from bbq_torchrl.evaluation.pairs import Pairing, pair
+from bbq_torchrl.evaluation.groups import Group, Pairing, pair, read_groups
 from bbq_torchrl.evaluation.run_result import (
     ReplicaResult,
     RunResult,

@@ -15,7 +15,7 @@ import numpy as np
 from bbq_torchrl.evaluation.curves import LEVEL, Reach, booked, rounds_to_reach
 from bbq_torchrl.evaluation.figures import draw_bands
 from bbq_torchrl.evaluation.finished_runs import read_runs
-from bbq_torchrl.evaluation.pairs import difference
+from bbq_torchrl.evaluation.groups import difference
 from bbq_torchrl.utils.reports import NONE, Report, Table
 from bbq_torchrl.utils.statistics import (
     Estimate,

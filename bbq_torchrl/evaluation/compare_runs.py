@@ -16,8 +16,15 @@ from typing import TYPE_CHECKING
 from bbq_torchrl.evaluation.curves import FIRST, LEVEL, rounds_to_reach
 from bbq_torchrl.evaluation.figures import draw_comparison
 from bbq_torchrl.evaluation.finished_runs import find_runs
-from bbq_torchrl.evaluation.groups import labeled, read_groups, references
-from bbq_torchrl.evaluation.pairs import EARLY, adjusted, difference, pair
+from bbq_torchrl.evaluation.groups import (
+    EARLY,
+    adjusted,
+    difference,
+    labeled,
+    pair,
+    read_groups,
+    references,
+)
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.reports import NONE, Report, Table, draw_intervals
 from bbq_torchrl.utils.statistics import estimate, estimate_iqm

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.domain import PRIVILEGED_POLICY
 from bbq_torchrl.evaluation.compare_runs import PAPER
-from bbq_torchrl.evaluation.pairs import difference
+from bbq_torchrl.evaluation.groups import difference
 from bbq_torchrl.utils.statistics import estimate
 from scripts.docs_blocks.common import block, group, groups, read_json, short, table
 from scripts.docs_blocks.learning import unspiked

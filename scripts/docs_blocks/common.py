@@ -10,8 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.evaluation.finished_runs import RUNS, read_runs
-from bbq_torchrl.evaluation.groups import Group, grouped
-from bbq_torchrl.evaluation.pairs import difference, pair
+from bbq_torchrl.evaluation.groups import Group, difference, grouped, pair
 from bbq_torchrl.utils.reports import table
 
 if TYPE_CHECKING:

@@ -7,7 +7,7 @@ from statistics import fmean, median
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.evaluation.curves import Reach
-from bbq_torchrl.evaluation.pairs import EARLY
+from bbq_torchrl.evaluation.groups import EARLY
 from bbq_torchrl.utils.reports import NONE
 from bbq_torchrl.utils.statistics import estimate
 from scripts.docs_blocks.common import (

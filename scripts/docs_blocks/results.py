@@ -13,8 +13,7 @@ from PIL import Image
 from bbq_torchrl.domains.domain import PRIVILEGED_POLICY
 from bbq_torchrl.evaluation.compare_runs import PAPER
 from bbq_torchrl.evaluation.figures import draw_comparison
-from bbq_torchrl.evaluation.groups import labeled
-from bbq_torchrl.evaluation.pairs import EARLY, adjusted, difference, pair
+from bbq_torchrl.evaluation.groups import EARLY, adjusted, difference, labeled, pair
 from bbq_torchrl.evaluation.run_result import reference_lines
 from bbq_torchrl.utils.reports import NONE, draw_intervals, save
 from bbq_torchrl.utils.statistics import ALPHA, estimate

@@ -6,7 +6,7 @@ from statistics import fmean
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.evaluation.compare_runs import PAPER
-from bbq_torchrl.evaluation.pairs import EARLY
+from bbq_torchrl.evaluation.groups import EARLY
 from scripts.docs_blocks.common import block, code, group, groups, minus, short, table
 from scripts.docs_blocks.learning import unspiked
 from scripts.docs_blocks.results import cells

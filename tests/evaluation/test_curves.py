@@ -11,8 +11,7 @@ from hypothesis.extra.numpy import arrays
 from scipy import integrate, stats
 
 from bbq_torchrl.evaluation.curves import Reach, areas, booked, rounds_to_reach
-from bbq_torchrl.evaluation.groups import read_groups
-from bbq_torchrl.evaluation.pairs import pair
+from bbq_torchrl.evaluation.groups import pair, read_groups
 
 curves = arrays(float, st.tuples(st.integers(1, 20), st.integers(1, 4)), elements=st.floats(0, 1))
 INF = math.inf

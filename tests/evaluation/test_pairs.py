@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 import torch
 
-from bbq_torchrl.evaluation.groups import read_groups
-from bbq_torchrl.evaluation.pairs import adjusted, pair
+from bbq_torchrl.evaluation.groups import adjusted, pair, read_groups
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import build_trainer
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bbq_torchrl.evaluation.pairs import difference
+from bbq_torchrl.evaluation.groups import difference
 from bbq_torchrl.utils.statistics import (
     binomial_standard_error,
     estimate,
