@@ -22,9 +22,9 @@ from bbq_torchrl.simulator import Simulator
 STUDY = """
 name: Tickets
 consent: We study assistants.
-agents: {bbqn: bbqn, dqn: dqn}
+agents: {bbqn: bbqn, dqn: dqn, public: "shipped:bbqn_map"}
 pairs: [[bbqn, dqn]]
-participants: 2
+participants: 1
 max_turns: 6
 """
 
@@ -55,26 +55,19 @@ def study(runs, monkeypatch):
 
 def test_simulated_users_take_part_in_a_study_of_trained_agents(study):
     talker = players.make_talker(study)
-    assert len({talker.fingerprint(name) for name in study.terms.agents}) == 2
+    assert len({talker.fingerprint(name) for name in study.terms.agents}) == 3
     simulate(study, talker, players.make_users(study), seed=3)
     outcomes = read_outcomes(study.data)
     assert outcomes.simulated
-    assert sorted(session.agent for session in outcomes.sessions) == ["bbqn", "bbqn", "dqn", "dqn"]
+    assert sorted(session.agent for session in outcomes.sessions) == ["bbqn", "dqn", "public"]
     for session in outcomes.sessions:
         goal = talker.domain.goals[session.goal - 1]
         assert session.exchanges[0].understood.informs.items() <= goal.constraints.items()
-        assert (session.exchanges[0].beliefs is not None) == (session.agent == "bbqn")
+        assert (session.exchanges[0].beliefs is not None) == (session.agent != "dqn")
         assert session.verdict is not None
         # Agents have learned with four turns; how many there are is the study's.
         farewell = session.exchanges[-1].answered.act in ("thanks", "closing")
         assert (session.ended_by == "agent") == farewell
-
-
-def test_a_shipped_agent_talks_in_a_study(study):
-    study = replace(study, terms=replace(study.terms, agents={"bbqn": "shipped:bbqn_map"}))
-    reply = players.make_talker(study).reply("bbqn", None, "inform(moviename=barbie)", 0)
-    assert reply.understood.informs == {"moviename": "barbie"}
-    assert reply.beliefs is not None
 
 
 def test_agents_that_cannot_talk_are_named_together(study, restaurant):
