@@ -109,7 +109,6 @@ def schemas() -> Mapping[str, Mapping[str, type[Option]]]:
     """
     if ENTRY_POINTS not in _loaded:
         for group in GROUPS:
-            importlib.import_module(f"{__package__}.{group}")
             _OPTIONS[group] = dict(sorted(_OPTIONS[group].items()))
         for point in entry_points(group=ENTRY_POINTS):
             with _importing(f"the options of {point.name} ({point.value})"):

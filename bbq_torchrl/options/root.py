@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.options.agent import BBQN, DQN, GP, AgentOption
-from bbq_torchrl.options.domain import DomainOption  # noqa: TC001
 from bbq_torchrl.options.env import EnvOption, FullDomain
 from bbq_torchrl.options.explore import ExploreOption  # noqa: TC001
 from bbq_torchrl.options.intrinsic import IntrinsicOption  # noqa: TC001
@@ -20,6 +19,7 @@ from bbq_torchrl.options.logger import LoggerOption  # noqa: TC001
 from bbq_torchrl.options.protocol import ProtocolOption  # noqa: TC001
 from bbq_torchrl.options.registry import Option, explorations
 from bbq_torchrl.options.spike import SpikeOption  # noqa: TC001
+from bbq_torchrl.options.subject import DomainOption  # noqa: TC001
 from bbq_torchrl.options.task import lists
 from bbq_torchrl.settings import (
     ANY_TEXT,

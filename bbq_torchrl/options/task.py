@@ -112,7 +112,8 @@ def check_env(env: EnvBase, option: str, batch_size: Sequence[int]) -> None:
         rows = ", ".join(map(str, batch))
         raise ConfigError(
             f"env={option} must make an environment of batch size [{rows}] whose specs have "
-            f"observation, floats [{rows}, features], and action, Categorical or OneHot, got {env}"
+            f"observation, floats [{rows}, features], and action, Categorical or OneHot; got "
+            f"{type(env).__name__} with {state} and {action}"
         )
 
 

@@ -93,7 +93,7 @@ def option_files() -> dict[Path, str]:
         folder / group / f"{name}.yaml": _option_file(schema)
         for group, known in schemas().items()
         for name, schema in known.items()
-        if schema.__module__ == f"bbq_torchrl.options.{group}"
+        if schema.__module__.startswith("bbq_torchrl.options.")
     }
 
 
