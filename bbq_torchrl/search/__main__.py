@@ -61,7 +61,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         search = compose_search(take_config_dir(arguments))
         from bbq_torchrl.runs.build import check_resources
         from bbq_torchrl.runs.train import run
-        from bbq_torchrl.search.study import run_search
+        from bbq_torchrl.search.trials import run_search
 
         for config in search.corners:
             check_resources(config)

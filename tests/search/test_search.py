@@ -33,8 +33,8 @@ pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 from sqlalchemy import event  # noqa: E402
 from sqlalchemy.pool import Pool  # noqa: E402
 
-from bbq_torchrl.search import study  # noqa: E402
-from bbq_torchrl.search.study import run_search  # noqa: E402
+from bbq_torchrl.search import trials as study  # noqa: E402
+from bbq_torchrl.search.trials import run_search  # noqa: E402
 
 ROUNDS = 4
 
