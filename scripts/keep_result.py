@@ -1,9 +1,9 @@
 """Adds a finished run to the table of its experiment in results/.
 
-    python scripts/keep_result.py <run folder> ablations reference/seed0
+    python scripts/keep_result.py <run folder> ablations 0_reference/seed0
 
 adds configuration, overrides, metrics and result to ``results/ablations/`` as the run
-``reference/seed0``; a run of that name is replaced. Paths of this machine and times are left out.
+``0_reference/seed0``; a run of that name is replaced. Paths of this machine and times are left out.
 :mod:`bbq_torchrl.evaluation.finished_runs` describes and reads the two files.
 """
 

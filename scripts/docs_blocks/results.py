@@ -139,7 +139,7 @@ def _of_learner(learner: str) -> list[Group]:
 @block("results.ablations")
 def _ablations() -> str:
     """Returns the ablations, each minus the reference."""
-    reference = common.group("ablations/reference")
+    reference = common.group("ablations/0_reference")
     rows: list[tuple[object, ...]] = [("reference", *_both(reference), NONE, NONE)]
     for changes in ABLATIONS:
         changed = [common.group(f"ablations/{name}") for name in changes]
@@ -303,7 +303,7 @@ def draw_figures() -> None:
         for learner in EXPLORERS
     }
     _save(draw_intervals(by_explorer, title="Final success by explorer"), "grid")
-    changed = {"reference": "reference"} | {
+    changed = {"0_reference": "reference"} | {
         run: what for of in ABLATIONS for run, what in of.items()
     }
     ablated = {
