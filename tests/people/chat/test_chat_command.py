@@ -7,7 +7,7 @@ import re
 import sys
 
 import pytest
-from acts import Acts
+from acts import HOSTILE, Acts
 from rich.console import Console
 
 from bbq_torchrl.domains import Goal
@@ -89,16 +89,6 @@ def test_an_agent_without_a_posterior_shows_values_alone(agents, mouth, decided)
 
 
 UNREADABLE = ["", "x" * 1_000_000, "\x00\x07"]
-HOSTILE = [
-    "\ud800\udfff",
-    "[bold]markup[/bold] [/] :smile:",
-    "'; DROP TABLE users; -- {moviename} $moviename$ =cmd()",
-    "9" * 400,
-    "-3 people at 25:99 on february 30 in seattle and reno",
-    "\u202e\u2066two tickets",
-    "Which movie would you like to see?",
-    "goodbye",
-]
 
 
 def test_a_session_of_typed_lines_hostile_ones_too(runs, understand, tmp_path, monkeypatch, capsys):
