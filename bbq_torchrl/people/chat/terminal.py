@@ -193,8 +193,8 @@ class Chat:
             if not offers:
                 self._say("No booking was offered.")
             else:
-                held = [f"{k}={v}" for k, v in offers[-1].items() if k != complete]
-                self._say(f"The last offer: {offers[-1][complete]} ({', '.join(held)}).")
+                kept = [f"{k}={v}" for k, v in offers[-1].items() if k != complete]
+                self._say(f"The last offer: {offers[-1][complete]} ({', '.join(kept)}).")
             return None
         judge = Judge(self._partner.domain)
         reasons = judge.reasons(self._goal, said, in_time=ended != "turns")

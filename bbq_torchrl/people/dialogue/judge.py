@@ -94,17 +94,17 @@ class Judge:
         offer: dict[str, str] = {}
         answers: dict[str, str] = {}
         latest: dict[str, str] = {}
-        for heard, said in exchanges:
-            latest |= _folded(heard.informs)
-            told = _folded(said.informs)
-            if self._complete in told:
-                offer = told
-                answers |= {} if self._as_simulated else _real(told)
-                if told[self._complete] == _NO_MATCH:
+        for understood, answered in exchanges:
+            latest |= _folded(understood.informs)
+            informed = _folded(answered.informs)
+            if self._complete in informed:
+                offer = informed
+                answers |= {} if self._as_simulated else _real(informed)
+                if informed[self._complete] == _NO_MATCH:
                     latest[self._ticket] = _NO_MATCH
-            elif said.act in ("inform", "request"):  # or answers, followed by a question
-                latest |= told
-                answers |= told
+            elif answered.act in ("inform", "request"):  # or answers, followed by a question
+                latest |= informed
+                answers |= informed
         asked = {slot: answers.get(slot, _NO_MATCH) for slot in goal.requests}
         wishes = _folded(goal.constraints)
         faults = {

@@ -52,7 +52,7 @@ class Memory:
     """Everything that an agent remembers between two texts.
 
     Attributes:
-        state: the state of the tracker; ``None`` before the first act heard.
+        state: the state of the tracker; ``None`` before the first act understood.
         asking: the clarification questions since the agent last acted.
         checked: the slot whose known value the agent asked the person to confirm, or empty.
         texts: the number of texts so far.
@@ -179,53 +179,53 @@ class Partner:
         words: dict[str, Any] = {"session": seed, "turn": now.texts}
         last = None if before.state is None else self._tracking.answered(before.state)
         try:
-            understood = self._understood(text, asking.question(last))
+            reading = self._understood(text, asking.question(last))
         except TextError as error:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
         if "farewell" in self.control.rules:
             is_offer = last is not None and self.domain.complete_slot in last.informs
-            if understood.frame.act == "thanks" and has_bye(text) and not is_offer:
-                understood = replace(understood, frame=Frame("closing"))
-            elif understood.frame.act == "closing" and not is_farewell(text):
-                understood = replace(understood, frame=Frame("not_sure"), confidence=0.0)
+            if reading.frame.act == "thanks" and has_bye(text) and not is_offer:
+                reading = replace(reading, frame=Frame("closing"))
+            elif reading.frame.act == "closing" and not is_farewell(text):
+                reading = replace(reading, frame=Frame("not_sure"), confidence=0.0)
         if asking.is_check or before.checked:
-            checked = self._answer_to_check(before, text, understood.frame)
+            checked = self._answer_to_check(before, text, reading.frame)
             if checked is None:
-                return self._after_no(before, now, understood, words)
-            understood = replace(understood, **checked)
-        if asking.asks(self._nlu, understood, self._ask_below):
-            values = _values(asking.joined(understood.frame))
-            if understood.unclear or not values or "confirm" not in self.control.rules:
-                return self._ask_again(now, understood, self._nlg.clarify(understood, **words))
-            now = replace(now, asking=asking.checking(understood))
-            said = Frame("not_sure", values)
+                return self._after_no(before, now, reading, words)
+            reading = replace(reading, **checked)
+        if asking.asks(self._nlu, reading, self._ask_below):
+            values = _values(asking.joined(reading.frame))
+            if reading.unclear or not values or "confirm" not in self.control.rules:
+                return self._ask_again(now, reading, self._nlg.clarify(reading, **words))
+            now = replace(now, asking=asking.checking(reading))
+            answered = Frame("not_sure", values)
             sentence = self._nlg.check(values, **words)
-            return Answer(sentence, understood, understood.frame, said, now)
-        heard, now = asking.joined(understood.frame), replace(now, asking=Asking())
-        if heard.act == "closing" or heard == Frame("greeting"):
+            return Answer(sentence, reading, reading.frame, answered, now)
+        understood, now = asking.joined(reading.frame), replace(now, asking=Asking())
+        if understood.act == "closing" or understood == Frame("greeting"):
             # Not the agent's decision: a greeting is returned, a farewell ends the conversation.
-            said, ended = Frame(heard.act), "person" if heard.act == "closing" else ""
-            sentence = self._nlg.agent(said, **words)
-            return Answer(sentence, understood, heard, said, now, ended=ended)
-        return self._act(now, understood, heard, seed, words)
+            answered, ended = Frame(understood.act), "person" if understood.act == "closing" else ""
+            sentence = self._nlg.agent(answered, **words)
+            return Answer(sentence, reading, understood, answered, now, ended=ended)
+        return self._act(now, reading, understood, seed, words)
 
     def _act(
-        self, now: Memory, understood: Understood, heard: Frame, seed: int, words: dict[str, Any]
+        self, now: Memory, reading: Understood, understood: Frame, seed: int, words: dict[str, Any]
     ) -> Answer:
         """Returns the policy's answer to an act."""
-        acted = self._acting.reply(now.state, heard, seed)
-        said, now = acted.answered, replace(now, state=acted.state)
+        acted = self._acting.reply(now.state, understood, seed)
+        answered, now = acted.answered, replace(now, state=acted.state)
         sentences = [self._nlg.agent(act, kept, **words) for act, kept in acted.parts]
         last, kept = acted.parts[-1]
         known = {slot: value for slot, value in _values(kept).items() if slot in last.requests}
         if last.act == "request" and known and "check" in self.control.rules:
             now = replace(now, checked=last.requests[0])
             sentences[-1] = self._nlg.check(known, **words)
-        ended = "agent" if said.act in ("thanks", "closing") else ""
+        ended = "agent" if answered.act in ("thanks", "closing") else ""
         if not ended and 2 * now.texts >= self.agent.simulator.max_turn:
             ended = "turns"
         sentence, rules = " ".join(sentences), acted.control
-        return Answer(sentence, understood, acted.understood, said, now, True, ended, rules)
+        return Answer(sentence, reading, acted.understood, answered, now, True, ended, rules)
 
     def _answer_to_check(self, before: Memory, text: str, frame: Frame) -> dict[str, Any] | None:
         """Returns the meaning of a text after "..., is that right?"; ``None`` for a plain no."""
@@ -244,7 +244,7 @@ class Partner:
         return {"frame": before.asking.waiting, "confidence": 1.0, "unclear": ()}
 
     def _after_no(
-        self, before: Memory, now: Memory, understood: Understood, words: dict[str, Any]
+        self, before: Memory, now: Memory, reading: Understood, words: dict[str, Any]
     ) -> Answer:
         """Returns the next question after a no to "..., is that right?"."""
         if not before.checked:
@@ -255,66 +255,66 @@ class Partner:
         kept = now.state["held"].clone()
         kept[self.domain.slots.index(before.checked)] = NONE
         now = replace(now, state=now.state.replace(held=kept))
-        said = Frame("request", {}, (before.checked,))
-        return Answer(self._nlg.agent(said, **words), understood, understood.frame, said, now)
+        answered = Frame("request", {}, (before.checked,))
+        return Answer(self._nlg.agent(answered, **words), reading, reading.frame, answered, now)
 
-    def beliefs(self, memory: Memory | None, heard: Frame, seed: int) -> Beliefs | None:
-        """Returns the agent's beliefs when it heard an act; ``None`` without a posterior.
+    def beliefs(self, memory: Memory | None, understood: Frame, seed: int) -> Beliefs | None:
+        """Returns the agent's beliefs when it understood an act; ``None`` without a posterior.
 
         Args:
             memory: the memory before the text.
-            heard: the act that the agent acted on.
+            understood: the act that the agent acted on.
             seed: the seed of the draws.
         """
-        return self.agent.beliefs(self._observed(memory, heard), seed)
+        return self.agent.beliefs(self._observed(memory, understood), seed)
 
-    def values(self, memory: Memory | None, heard: Frame, seed: int) -> dict[str, float]:
+    def values(self, memory: Memory | None, understood: Frame, seed: int) -> dict[str, float]:
         """Returns the values that the agent acted on, by action; arguments as in `beliefs`."""
-        return self.agent.values(self._observed(memory, heard), seed)
+        return self.agent.values(self._observed(memory, understood), seed)
 
-    def reasons(self, memory: Memory | None, heard: Frame, seed: int) -> Reasons | None:
+    def reasons(self, memory: Memory | None, understood: Frame, seed: int) -> Reasons | None:
         """Returns the reasons for its best action over the second; arguments as in `beliefs`."""
-        return self.agent.reasons(self._observed(memory, heard), seed)
+        return self.agent.reasons(self._observed(memory, understood), seed)
 
-    def _observed(self, memory: Memory | None, heard: Frame) -> torch.Tensor:
-        return self._tracking.observe(self._acting.hear((memory or Memory()).state, heard))
+    def _observed(self, memory: Memory | None, understood: Frame) -> torch.Tensor:
+        return self._tracking.observe(self._acting.hear((memory or Memory()).state, understood))
 
     def _understood(self, text: str, question: Frame | None) -> Understood:
         """Returns the meaning of a text, with its values in the one spelling."""
-        understood = self._nlu(text, question)
+        reading = self._nlu(text, question)
         rules = self.control.rules
         if "aside" in rules and question is not None:
-            understood = self._aside(text, question.requests[:1], understood)
-        values = understood.frame.informs
+            reading = self._aside(text, question.requests[:1], reading)
+        values = reading.frame.informs
         if "names" not in rules:
-            frame = replace(understood.frame, informs=self._spelling.of(values))
-            return replace(understood, frame=frame)
-        told = question.informs if question is not None else {}
-        informs, unclear = self._spelling.understood(text, values, told)
-        frame = replace(understood.frame, informs=informs)
-        return replace(understood, frame=frame, unclear=(*understood.unclear, *unclear))
+            frame = replace(reading.frame, informs=self._spelling.of(values))
+            return replace(reading, frame=frame)
+        informed = question.informs if question is not None else {}
+        informs, unclear = self._spelling.understood(text, values, informed)
+        frame = replace(reading.frame, informs=informs)
+        return replace(reading, frame=frame, unclear=(*reading.unclear, *unclear))
 
-    def _aside(self, text: str, asked: tuple[str, ...], understood: Understood) -> Understood:
+    def _aside(self, text: str, asked: tuple[str, ...], reading: Understood) -> Understood:
         """Returns the meaning of a text that may ask for something instead of answering."""
         alone = self._nlu(text, None)
         named = self._spelling.named(text, alone.frame.requests, asked)
-        is_echo = not set(asked) <= set(named) and set(asked) <= set(understood.frame.requests)
-        is_better = alone.confidence > understood.confidence
+        is_echo = not set(asked) <= set(named) and set(asked) <= set(reading.frame.requests)
+        is_better = alone.confidence > reading.confidence
         if not named or not (is_better or (asked and is_echo)):
-            return understood
-        frame = Frame("request", understood.frame.informs, named)
-        return replace(understood, frame=frame, confidence=alone.confidence)
+            return reading
+        frame = Frame("request", reading.frame.informs, named)
+        return replace(reading, frame=frame, confidence=alone.confidence)
 
-    def _ask_again(self, now: Memory, understood: Understood | None, sentence: str) -> Answer:
+    def _ask_again(self, now: Memory, reading: Understood | None, sentence: str) -> Answer:
         """Returns a question about a text; the state of the dialogue is unchanged."""
-        now = replace(now, asking=now.asking.again(understood))
-        heard = said = Frame("not_sure")
-        if understood is not None:
-            heard = understood.frame
-            if understood.unclear:
-                unclear = understood.unclear[0]
-                said = Frame("multiple_choice", {}, (unclear.slot,), unclear.candidates)
-        return Answer(sentence, understood, heard, said, now)
+        now = replace(now, asking=now.asking.again(reading))
+        understood = answered = Frame("not_sure")
+        if reading is not None:
+            understood = reading.frame
+            if reading.unclear:
+                unclear = reading.unclear[0]
+                answered = Frame("multiple_choice", {}, (unclear.slot,), unclear.candidates)
+        return Answer(sentence, reading, understood, answered, now)
 
 
 def _values(of: Frame | Mapping[str, str]) -> dict[str, str]:

@@ -61,18 +61,18 @@ class Spelling:
         return {slot: self._lexicon.respell(slot, value) for slot, value in values.items()}
 
     def understood(
-        self, text: str, values: Mapping[str, str], told: Mapping[str, str]
+        self, text: str, values: Mapping[str, str], informed: Mapping[str, str]
     ) -> tuple[dict[str, str], tuple[Unclear, ...]]:
         """Returns a person's values as the records have them, and those that are unclear.
 
         A part of a day that no record has is left out ("Sunday morning"). A time without am or pm
-        is the one that the agent has just told, or the only one that a record has. What constrains
+        is the one that the agent has just given, or the only one that a record has. What constrains
         a booking and is in no record is unclear.
 
         Args:
             text: the person's text.
-            values: the values heard, by slot.
-            told: the values of the agent's last act.
+            values: the values understood, by slot.
+            informed: the values of the agent's last act.
 
         Examples:
             >>> from bbq_torchrl.domains import movie_domain
@@ -83,7 +83,7 @@ class Spelling:
         found: dict[str, str] = {}
         unclear = []
         for slot, value in self.of(values).items():
-            options = self._options(text, slot, value, told.get(slot))
+            options = self._options(text, slot, value, informed.get(slot))
             if len(options) == 1 and self._has(slot, options[0]):
                 found[slot] = options[0]
             else:
@@ -94,7 +94,7 @@ class Spelling:
         """Returns whether a record has a value, or the slot constrains no booking."""
         return slot not in self._recorded or fold(value) in self._recorded[slot]
 
-    def _options(self, text: str, slot: str, value: str, told: str | None) -> tuple[str, ...]:
+    def _options(self, text: str, slot: str, value: str, informed: str | None) -> tuple[str, ...]:
         """Returns the values that a person may mean by one."""
         lexicon = self._lexicon
         kind, key = lexicon.kinds.get(slot), lexicon.key(slot, value)
@@ -104,9 +104,9 @@ class Spelling:
         if kind != "time" or (clock := _before_noon(text, key)) is None:
             return (value,)
         morning = lexicon.respell(slot, clock)
-        if slot not in self._recorded or not self._has(slot, morning) or told == value:
+        if slot not in self._recorded or not self._has(slot, morning) or informed == value:
             return (value,)
-        is_plain = told == morning or "morning" in tokenize(text) or not self._has(slot, value)
+        is_plain = informed == morning or "morning" in tokenize(text) or not self._has(slot, value)
         return (morning,) if is_plain else (morning, value)
 
     def named(
@@ -132,7 +132,7 @@ def _before_noon(text: str, key: str) -> str | None:
 
     Args:
         text: the person's text.
-        key: the canonical key of the time that was heard.
+        key: the canonical key of the time that was understood.
     """
     words = tokenize(text)
     sizes = range(1, _CLOCK + 1)

@@ -26,8 +26,8 @@ class Tracking:
     ``open_requests``.
 
     A simulated user repeats its unanswered questions in each turn, and sets them aside while it
-    answers the agent's. A person asks once, so the tracker keeps the requests that it heard until
-    they are answered (:meth:`~bbq_torchrl.simulator.tracker.Tracker.ask`). With a simulated user,
+    answers the agent's. A person asks once, so the tracker keeps the requests until they are
+    answered (:meth:`~bbq_torchrl.simulator.tracker.Tracker.ask`). With a simulated user,
     the observations are bit for bit those of the simulator.
 
     Args:
@@ -55,7 +55,7 @@ class Tracking:
         self._active = active
         self._coding = Coding(simulator.domain)
 
-    def start(self, heard: Frame) -> TensorDict:
+    def start(self, understood: Frame) -> TensorDict:
         """Returns the state after a person's first turn."""
         n_slots = len(self._coding.slots)
         nothing = torch.zeros(n_slots, dtype=torch.long)
@@ -74,7 +74,7 @@ class Tracking:
             },
             batch_size=[],
         )
-        return self.hear(state, heard)
+        return self.hear(state, understood)
 
     def act(self, state: TensorDict, action: int) -> TensorDict:
         """Returns the state after an act of the agent, with its values filled in.
@@ -96,20 +96,20 @@ class Tracking:
             turn=state["turn"] + 2,
         )
 
-    def hear(self, state: TensorDict, heard: Frame) -> TensorDict:
+    def hear(self, state: TensorDict, understood: Frame) -> TensorDict:
         """Returns the state after a person's act.
 
         Args:
             state: the state, which is not modified.
-            heard: the act understood; values that the domain does not know are left out.
+            understood: the act understood; values that the domain does not know are left out.
         """
         coding, tracker = self._coding, self._simulator.tracker
         before = coding.acts[int(state["heard_act"])]
-        act = coding.act(heard, self.answered(state), before)
+        act = coding.act(understood, self.answered(state), before)
         utterance = Utterance(
             torch.tensor(self._simulator.domain.act[act]),
-            torch.tensor(coding.ids(heard.informs)),
-            torch.tensor(coding.flags(heard.requests)),
+            torch.tensor(coding.ids(understood.informs)),
+            torch.tensor(coding.flags(understood.requests)),
         )
         asked, open_ = tracker.ask(
             state["heard_requests"],
@@ -185,36 +185,36 @@ class Acting:
         booking = domain.action_index(f"inform({domain.complete_slot})")
         self._booking = torch.arange(len(agent.legal)) == booking
 
-    def hear(self, state: TensorDict | None, heard: Frame) -> TensorDict:
+    def hear(self, state: TensorDict | None, understood: Frame) -> TensorDict:
         """Returns the state after a person's act; ``state`` is ``None`` before the first."""
         if state is None:
-            return self._control.remember(self._tracking.start(heard))
-        return self._control.remember(self._tracking.hear(state, heard))
+            return self._control.remember(self._tracking.start(understood))
+        return self._control.remember(self._tracking.hear(state, understood))
 
-    def reply(self, state: TensorDict | None, heard: Frame, seed: int) -> Acted:
+    def reply(self, state: TensorDict | None, understood: Frame, seed: int) -> Acted:
         """Returns the acts that reply to a person's act.
 
         Args:
             state: the state before the person's act; ``None`` before the first.
-            heard: the person's act.
+            understood: the person's act.
             seed: the seed of the policy's random choices.
         """
         agent, control = self._agent, self._control
         legal = agent.legal
-        is_ticket = heard == Frame("request", {}, (self._ticket,))
+        is_ticket = understood == Frame("request", {}, (self._ticket,))
         if is_ticket and state is not None and "book" in control.rules:
             last = self._tracking.answered(state)
             if last is not None and self._complete in last.informs:
-                heard = Frame("thanks")
+                understood = Frame("thanks")
             else:
                 legal = self._booking
-        state = self.hear(state, heard)
+        state = self.hear(state, understood)
         observation = self._tracking.observe(state)
         action = agent.decide(observation, seed)
         allowed, left_out = control.allowed(state, legal)
         left_out["book"] = agent.legal & ~legal
         rules = tuple(name for name, actions in left_out.items() if actions[action])
-        state, parts = self._answer(state, heard, legal, seed)
+        state, parts = self._answer(state, understood, legal, seed)
         if parts:
             allowed, _ = control.allowed(state, control.continues(legal))
             observation = self._tracking.observe(state)
@@ -222,10 +222,10 @@ class Acting:
             if parts or rules:
                 action = agent.decide(observation, seed, allowed)
             state = self._act(state, action, parts)
-        return Acted(heard, state, tuple(parts), rules)
+        return Acted(understood, state, tuple(parts), rules)
 
     def _answer(
-        self, state: TensorDict, heard: Frame, legal: torch.Tensor, seed: int
+        self, state: TensorDict, understood: Frame, legal: torch.Tensor, seed: int
     ) -> tuple[TensorDict, list[tuple[Frame, dict[str, str]]]]:
         """Returns the state after the answers to all open questions, or to one without a match.
 
@@ -240,7 +240,8 @@ class Acting:
             if NO_MATCH_TEXT in parts[-1][0].informs.values():
                 return state, parts
         if parts:
-            state = self._tracking.hear(state, Frame("request", heard.informs, (self._ticket,)))
+            wish = Frame("request", understood.informs, (self._ticket,))
+            state = self._tracking.hear(state, wish)
         return state.replace(turn=turn), parts
 
     def _act(
@@ -248,7 +249,7 @@ class Acting:
     ) -> TensorDict:
         """Returns the state after an act, and adds it to ``parts``."""
         after = self._tracking.act(state, action)
-        said = self._tracking.answered(after)
-        assert said is not None
-        parts.append((said, self._tracking.kept(state)))
+        answered = self._tracking.answered(after)
+        assert answered is not None
+        parts.append((answered, self._tracking.kept(state)))
         return after
