@@ -85,7 +85,10 @@ def assemble(
         can_name = len(words) <= _SHORT and lexicon.kinds.get(asked or "") == "text"
         if asked and name and act == "inform" and is_silent and can_name:
             unclear = (Unclear(asked, name),)  # an answer of unknown words is an unknown name
-    frame, chance = _likeliest(words, reading, question, lexicon, informs, unclear)
+    frames = _allowed(words, reading, question, lexicon, informs, unclear)
+    frame, chance = max(frames, key=lambda item: item[1])
+    likelier = torch.cat([reading.requests, reading.dont_care])
+    chance += float(torch.maximum(likelier, 1 - likelier).log().sum())
     return frame, unclear, sure + chance
 
 
@@ -268,22 +271,6 @@ def values_of(
     return informs, tuple(unclear)
 
 
-def _likeliest(
-    words: Sequence[str],
-    reading: Reading,
-    question: Frame,
-    lexicon: Lexicon,
-    informed: dict[str, str],
-    unclear: tuple[Unclear, ...],
-) -> tuple[Frame, float]:
-    """Returns the likeliest frame that the labeling guide allows, and its log-probability."""
-    frames = _allowed(words, reading, question, lexicon, informed, unclear)
-    frame, chance = max(frames, key=lambda item: item[1])
-    for chances in (reading.requests, reading.dont_care):
-        chance += float(torch.maximum(chances, 1 - chances).log().sum())
-    return frame, chance
-
-
 def _allowed(
     words: Sequence[str],
     reading: Reading,
@@ -292,9 +279,9 @@ def _allowed(
     informed: dict[str, str],
     unclear: tuple[Unclear, ...],
 ) -> Iterator[tuple[Frame, float]]:
-    """Yields the likeliest frame of each act that is allowed.
+    """Yields the likeliest frame of each act that the labeling guide allows.
 
-    With it comes the log-probability, but for that of the likelier outcome for each slot.
+    With it comes its log-probability, less that of the likelier outcome for each slot.
     """
     domain = lexicon.domain
     asks = dict(zip(domain.slots, reading.requests.tolist(), strict=True))
