@@ -39,6 +39,7 @@ _ORDER |= {"last": -1, "latter": -1}
 _CORRECTS = word_set("corrects")
 _ANY_OF = [re.compile(pattern) for pattern in ENGLISH["any_of"]]
 
+_NOT = ("no", "not", "except")
 _CLAUSE = re.compile(r"[^\w' ]")  # a mark that ends a clause
 _MAX_BEFORE, _MAX_AFTER = 8, 6  # words
 _DENIED_BEFORE, _DENIED_AFTER = (
@@ -170,7 +171,7 @@ def _missed(
             if slot is None or {*tags[start:end]} != {OUTSIDE} or not has_edges or name in POLITE:
                 continue
             kind = lexicon.kinds[slot]
-            is_short = kind == "text" and len(name) < _LEAST_LETTERS
+            is_short = kind == "text" and len(name) < _LEAST_LETTERS and name.isalpha()
             if is_short or (kind == "count" and slot != asked):
                 continue
             is_doubtful = min(reading.each_chance[start:end]) < _DOUBTFUL
@@ -216,7 +217,9 @@ def _mentions(
 def _name_within(
     slot: str, words: Sequence[str], start: int, end: int, lexicon: Lexicon
 ) -> tuple[int, int]:
-    """Returns the longest full name in a part of the sentence, else the part."""
+    """Returns the longest full name in a part of the sentence, else the part without a "not"."""
+    while start + 1 < end and words[start] in _NOT:
+        start += 1
     if lexicon.kinds[slot] == "text":
         for size in range(end - start, 0, -1):
             for at in range(start, end - size + 1):
