@@ -16,7 +16,7 @@ from bbq_torchrl.evaluation.curves import LEVEL, Reach, booked, rounds_to_reach
 from bbq_torchrl.evaluation.figures import draw_bands
 from bbq_torchrl.evaluation.finished_runs import read_runs
 from bbq_torchrl.evaluation.groups import difference
-from bbq_torchrl.utils.reports import NONE, Report, Table
+from bbq_torchrl.utils.reports import Report, Table
 from bbq_torchrl.utils.statistics import (
     Estimate,
     estimate,
@@ -26,6 +26,7 @@ from bbq_torchrl.utils.statistics import (
     probability_of_improvement,
     stratified,
 )
+from bbq_torchrl.utils.text import EMPTY
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
@@ -224,7 +225,7 @@ def _setting_table(found: Mapping[str, Sequence[Row]], budgets: Sequence[int]) -
         row[f"dialogues to {LEVEL}"] = reach
         row["reward"] = float(np.mean(column("reward", rows)))
         passed = {f"pass^{k}": column(f"pass^{k}", rows) for k in TRIES}
-        row |= {k: NONE if math.isnan(sum(of)) else estimate(of) for k, of in passed.items()}
+        row |= {k: EMPTY if math.isnan(sum(of)) else estimate(of) for k, of in passed.items()}
         table.append(row)
     return Table("setting", table)
 

@@ -26,9 +26,9 @@ from bbq_torchrl.evaluation.groups import (
     references,
 )
 from bbq_torchrl.utils import interruption, output
-from bbq_torchrl.utils.reports import NONE, Report, Table, draw_intervals
+from bbq_torchrl.utils.reports import Report, Table, draw_intervals
 from bbq_torchrl.utils.statistics import estimate, estimate_iqm
-from bbq_torchrl.utils.text import as_typed
+from bbq_torchrl.utils.text import EMPTY, as_typed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -127,7 +127,7 @@ def _sections(groups: Sequence[Group], by: str) -> dict[str, list[Group]]:
 def success_row(group: Group) -> dict[str, object]:
     """Returns a group's row: final success, reward, and success in training."""
     paper = PAPER.get(group.first.env, {}).get(group.agent)
-    rate, reward = (f"{paper[0]:.4f}", paper[1]) if paper else (NONE, NONE)
+    rate, reward = (f"{paper[0]:.4f}", paper[1]) if paper else (EMPTY, EMPTY)
     return {
         "agent": group.label,
         "explore": group.first.explore,
@@ -140,11 +140,11 @@ def success_row(group: Group) -> dict[str, object]:
         "reward: the paper's": reward,
         "turns": group.turns,
         **{
-            f"booked after {first:,}": estimate(found) if (found := group.booked(first)) else NONE
+            f"booked after {first:,}": estimate(found) if (found := group.booked(first)) else EMPTY
             for first in FIRST
         },
         "cumulative": estimate(group.cumulative),
-        "evaluated": estimate(area) if (area := group.area) else NONE,
+        "evaluated": estimate(area) if (area := group.area) else EMPTY,
         f"dialogues to {LEVEL}": group.reach(LEVEL),
     }
 
@@ -163,8 +163,8 @@ def pair_parts(groups: Sequence[Group], name: str = "pairs") -> list[str | Table
         row: dict[str, object] = {f"minus {first.label}": item.one.label, "pairs": item.pairs}
         for quantity, column in COLUMNS.items():
             values = item.differences.get(quantity)
-            row[column] = difference(values) if values else NONE
-            row[f"{column}: p"] = p_values[quantity][place] if values else NONE
+            row[column] = difference(values) if values else EMPTY
+            row[f"{column}: p"] = p_values[quantity][place] if values else EMPTY
         rows.append(row)
         if item.different:
             remarks.append(f"{item.one.label}: other dialogues, by {', '.join(item.different)}.")

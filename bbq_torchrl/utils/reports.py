@@ -10,6 +10,7 @@ from io import BytesIO
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from bbq_torchrl.utils.files import write_bytes
+from bbq_torchrl.utils.text import EMPTY
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -18,9 +19,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from bbq_torchrl.utils.statistics import Estimate
-
-NONE = "–"
-"""An empty cell in Markdown."""
 
 
 @runtime_checkable
@@ -51,7 +49,7 @@ class Table:
         if not self.rows:
             return ""
         names = dict.fromkeys(name for row in self.rows for name in row)
-        cells = [[_shown(row.get(name, NONE)) for name in names] for row in self.rows]
+        cells = [[_shown(row.get(name, EMPTY)) for name in names] for row in self.rows]
         head = [name.rpartition(": ")[2] for name in names]
         return table(head, cells, numbers=len(head) - self.words)
 
@@ -131,7 +129,7 @@ def _plain(name: str) -> str:
 
 
 def _kept(value: object) -> object:
-    is_none = value == NONE or (isinstance(value, float) and not math.isfinite(value))
+    is_none = value == EMPTY or (isinstance(value, float) and not math.isfinite(value))
     return "" if is_none else value
 
 

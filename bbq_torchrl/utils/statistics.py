@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy import special, stats
 
-from bbq_torchrl.utils.reports import NONE
+from bbq_torchrl.utils.text import EMPTY
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Sequence
@@ -63,7 +63,7 @@ class Estimate:
         """Formats each number by ``spec``."""
         spec = spec or self.spec
         if math.isnan(self.value):
-            return NONE
+            return EMPTY
         if math.isnan(self.low):
             return format(self.value, spec)
         return f"{self.value:{spec}} [{self.low:{spec}}, {self.high:{spec}}]"
@@ -78,7 +78,7 @@ class PValue(float):
 
     def __str__(self) -> str:
         if math.isnan(self):
-            return NONE
+            return EMPTY
         return f"{float(self):.3f}" if self >= 0.001 else "< .001"
 
     def csv_columns(self) -> dict[str, float]:

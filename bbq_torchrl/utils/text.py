@@ -10,6 +10,9 @@ if TYPE_CHECKING:
     from collections.abc import Sequence
 
 
+EMPTY = "–"
+"""A missing value, as text and in tables."""
+
 _VALUE = 200  # characters of a value: more than anybody types
 _LINE = 5_000  # characters of a sentence
 _FAULTS = 100  # lines

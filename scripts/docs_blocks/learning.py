@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.evaluation.curves import Reach
 from bbq_torchrl.evaluation.groups import EARLY
-from bbq_torchrl.utils.reports import NONE
 from bbq_torchrl.utils.statistics import estimate
+from bbq_torchrl.utils.text import EMPTY
 from scripts.docs_blocks.common import (
     block,
     code,
@@ -152,7 +152,7 @@ def _searched_long() -> str:
     for name in names:
         own = group(name)
         booked = (estimate(own.booked(budget)) for budget in (EARLY, 5_000))
-        gap = NONE if name == names[0] else minus(own, first, "final")
+        gap = EMPTY if name == names[0] else minus(own, first, "final")
         label = own.agent + ", searched" * name.startswith("searched")
         rows.append((label, *booked, estimate(own.final), gap))
     head = (f"{first.first.rounds} rounds", f"booked after {EARLY:,}", "after 5,000", "final")

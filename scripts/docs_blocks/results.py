@@ -15,8 +15,9 @@ from bbq_torchrl.evaluation.compare_runs import PAPER
 from bbq_torchrl.evaluation.figures import draw_comparison
 from bbq_torchrl.evaluation.groups import EARLY, adjusted, difference, labeled, pair
 from bbq_torchrl.evaluation.run_result import reference_lines
-from bbq_torchrl.utils.reports import NONE, draw_intervals, save
+from bbq_torchrl.utils.reports import draw_intervals, save
 from bbq_torchrl.utils.statistics import ALPHA, estimate
+from bbq_torchrl.utils.text import EMPTY
 from scripts.docs_blocks import common
 from scripts.docs_blocks.common import block, code, commands, groups, minus, table
 from scripts.docs_blocks.tables import measured
@@ -87,7 +88,7 @@ def _table1(name: str) -> str:
         of_env = cells(name, env)
         rows = []
         for agent, own in of_env.items():
-            gap = NONE if agent == OURS else minus(of_env[OURS], own, "final")
+            gap = EMPTY if agent == OURS else minus(of_env[OURS], own, "final")
             early = _early(own) if is_main else ()
             rows.append((agent, f"{PAPER[env][agent][0]:.4f}", estimate(own.final), gap, *early))
         parts.append(table((title, *head), rows, numbers=len(head)))
@@ -99,13 +100,13 @@ def _table1(name: str) -> str:
 def _early(own: Group) -> tuple[object, object]:
     """Returns the cells of success early and in all of training."""
     booked = own.booked(EARLY)
-    return estimate(booked) if booked else NONE, estimate(own.cumulative)
+    return estimate(booked) if booked else EMPTY, estimate(own.cumulative)
 
 
 def _experiment(name: str) -> str:
     """Returns the table and one command of an experiment."""
     first, *others = groups(name)
-    rows = [(first.label, estimate(first.final), *_early(first), NONE)]
+    rows = [(first.label, estimate(first.final), *_early(first), EMPTY)]
     rows += [
         (own.label, estimate(own.final), *_early(own), minus(first, own, "final")) for own in others
     ]
@@ -125,7 +126,7 @@ def _explorers() -> str:
     rows = []
     for learner in EXPLORERS:
         first, *others = _of_learner(learner)
-        rows.append((learner, code(first.first.explore), *_both(first), NONE, NONE))
+        rows.append((learner, code(first.first.explore), *_both(first), EMPTY, EMPTY))
         for own, gaps in zip(others, _starred(first, others), strict=True):
             rows.append(("", code(own.first.explore), *_both(own), *gaps))
     head = ("learner", "explorer", "final", "cumulative", "final minus first", "cumulative minus")
@@ -140,7 +141,7 @@ def _of_learner(learner: str) -> list[Group]:
 def _ablations() -> str:
     """Returns the ablations, each minus the reference."""
     reference = common.group("ablations/0_reference")
-    rows: list[tuple[object, ...]] = [("reference", *_both(reference), NONE, NONE)]
+    rows: list[tuple[object, ...]] = [("reference", *_both(reference), EMPTY, EMPTY)]
     for changes in ABLATIONS:
         changed = [common.group(f"ablations/{name}") for name in changes]
         gaps = _starred(reference, changed)
@@ -188,7 +189,7 @@ def compared(rows: Mapping[str, list[str]], head: Sequence[str]) -> str:
         both = [own for name in names for own in groups(name)]
         if len(both) == 2:
             found = pair(*both).differences
-            gaps = (difference(found[q]) if q in found else NONE for q in QUANTITIES)
+            gaps = (difference(found[q]) if q in found else EMPTY for q in QUANTITIES)
             lines.append((title, *gaps))
     on, one, other = head
     columns = (f"{on}: {one} minus {other}", *QUANTITIES.values())
@@ -227,7 +228,7 @@ def claims() -> Iterator[Claim]:
             for claim in _judged(of_env, declared, quantity, f"Table 1, {title.lower()}"):
                 lead = f"{paper[OURS][0] - paper[claim.other][0]:+.3f}"
                 if claim.other in OTHERS:
-                    yield claim._replace(paper=lead if quantity == "final" else NONE)
+                    yield claim._replace(paper=lead if quantity == "final" else EMPTY)
         for setting, claimed in COMPARED["claims"].items():
             names = {one: name for claim in claimed for one, name in (claim[:2], claim[2:])}
             found = {one: own for one, name in names.items() for own in groups(name)}
@@ -250,7 +251,7 @@ def _judged(
             mean = difference(gap)
             direction = "yes" if mean.value > 0 else "no"
             verdict = direction if p_value < ALPHA else "not significant"
-            yield Claim(setting, one, other, QUANTITIES[quantity], mean, p_value, verdict, NONE)
+            yield Claim(setting, one, other, QUANTITIES[quantity], mean, p_value, verdict, EMPTY)
 
 
 @block("results.claims")
@@ -326,4 +327,4 @@ def _save(figure: Figure, name: str) -> None:
     """Writes a figure of the documentation in 256 colors, a third of the size."""
     file = common.FIGURES / f"{name}.png"
     save(figure, file)
-    Image.open(file).convert("RGB").quantize(dither=Image.Dither.NONE).save(file, optimize=True)
+    Image.open(file).convert("RGB").quantize(dither=Image.Dither.EMPTY).save(file, optimize=True)
