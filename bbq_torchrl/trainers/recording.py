@@ -46,6 +46,7 @@ class MetricsFile:
         rows: the rows of all rounds, one for each round and replica.
 
     Examples:
+        >>> import torch
         >>> from pathlib import Path
         >>> from tempfile import TemporaryDirectory
         >>> with TemporaryDirectory() as folder:
