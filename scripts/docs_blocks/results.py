@@ -327,4 +327,4 @@ def _save(figure: Figure, name: str) -> None:
     """Writes a figure of the documentation in 256 colors, a third of the size."""
     file = common.FIGURES / f"{name}.png"
     save(figure, file)
-    Image.open(file).convert("RGB").quantize(dither=Image.Dither.EMPTY).save(file, optimize=True)
+    Image.open(file).convert("RGB").quantize(dither=Image.Dither.NONE).save(file, optimize=True)
