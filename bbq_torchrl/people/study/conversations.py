@@ -10,7 +10,6 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.people.dialogue.judge import Judge
 from bbq_torchrl.people.study.database import SCALES, current
-from bbq_torchrl.people.study.storage import JoinRateError
 from bbq_torchrl.utils.text import TextError, clean
 
 if TYPE_CHECKING:
@@ -64,17 +63,12 @@ class Conversations:
             ids: the result of :func:`ids_of`; the same person gets the same token.
 
         Raises:
-            RefusedError: without consent, if the study is full, or if too many join at once.
+            RefusedError: without consent, or if the study is full.
         """
         nonce = _nonce(form)
         if form.get("consent") != "yes":
             raise RefusedError(422, "To take part, please tick the box first.")
-        try:
-            token = self._store.enroll(nonce, ids)
-        except JoinRateError as error:
-            raise RefusedError(
-                429, "Many people are joining just now. Please begin again in a minute."
-            ) from error
+        token = self._store.enroll(nonce, ids)
         if token is None:
             raise RefusedError(
                 409,

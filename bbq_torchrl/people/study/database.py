@@ -91,6 +91,17 @@ class StoreError(StudyError):
         super().__init__(str(path), faults)
 
 
+def _frame(text: bytes) -> Frame:
+    content = json.loads(text)
+    listed = {key: tuple(content[key]) for key in ("requests", "choices")}
+    return Frame(**{**content, **listed})
+
+
+sqlite3.register_converter("json", json.loads)
+sqlite3.register_converter("truth", lambda number: number == b"1")
+sqlite3.register_converter("frame", _frame)
+
+
 @contextmanager
 def serving(path: Path) -> Iterator[sqlite3.Connection]:
     """Opens a study's file for one server, and creates it if needed.
@@ -106,7 +117,12 @@ def serving(path: Path) -> Iterator[sqlite3.Connection]:
         text = "another server is at work on it: end that one, or wait"
         raise StoreError(path, text) from error
     with lock, as_store_errors(path):
-        connection = sqlite3.connect(path, isolation_level=None, check_same_thread=False)
+        connection = sqlite3.connect(
+            path,
+            isolation_level=None,
+            check_same_thread=False,
+            detect_types=sqlite3.PARSE_COLNAMES,
+        )
         with closing(connection):
             if connection.execute("SELECT COUNT(*) FROM sqlite_master").fetchone() == (0,):
                 connection.executescript(
@@ -133,7 +149,9 @@ def opened(path: Path, mode: str = "ro") -> Iterator[sqlite3.Connection]:
         raise StoreError(path, "there is no such file: the study has not been served yet")
     address = f"{path.absolute().as_uri()}?mode={mode}"
     with as_store_errors(path):
-        connection = sqlite3.connect(address, BUSY_SECONDS, uri=True, isolation_level=None)
+        connection = sqlite3.connect(
+            address, BUSY_SECONDS, sqlite3.PARSE_COLNAMES, isolation_level=None, uri=True
+        )
         with closing(connection):
             _check(path, connection)
             connection.execute("PRAGMA foreign_keys = ON")
@@ -190,26 +208,13 @@ class Exchange:
     beliefs: Mapping[str, Any] | None
     state: str
 
-    @classmethod
-    def of(cls, row: tuple[Any, ...]) -> Exchange:
-        """Returns the exchange in a row of :data:`EXCHANGES`."""
-        number, nonce, at, text, answer, understood, answered, confidence, beliefs, state = row
-        content = None if beliefs is None else json.loads(beliefs)
-        frames = _frame(understood), _frame(answered)
-        return cls(number, nonce, at, text, answer, *frames, confidence, content, state)
-
-
-def _frame(text: str) -> Frame:
-    content = json.loads(text)
-    listed = {key: tuple(content[key]) for key in ("requests", "choices")}
-    return Frame(**{**content, **listed})
-
 
 EXCHANGES = """
-    SELECT number, nonce, at, text, answer, understood, answered, confidence, beliefs, state
+    SELECT number, nonce, at, text, answer, understood AS "u [frame]", answered AS "a [frame]",
+           confidence, beliefs AS "b [json]", state
     FROM exchange WHERE session = ? ORDER BY number
 """
-"""Selects the rows of a session for :meth:`Exchange.of`, first to last."""
+"""Selects the fields of :class:`Exchange` of a session, first to last."""
 
 
 @dataclass(frozen=True)
@@ -236,7 +241,7 @@ class Session:
     agent: str
     goal: int
     ended_by: str | None
-    reasons: tuple[str, ...]
+    reasons: Sequence[str]
     rating_nonce: str | None
     ratings: Mapping[str, int] | None
     verdict: bool | None
@@ -257,24 +262,15 @@ class Session:
         """True once the participant has rated it."""
         return self.ratings is not None
 
-    @classmethod
-    def of(cls, row: tuple[Any, ...]) -> Session:
-        """Returns the session in a row of :data:`SESSIONS`."""
-        number, person, *plan, reasons, nonce, ratings, verdict, messages = row
-        position, agent, goal, ended_by = plan
-        return cls(
-            *(number, str(person), position, agent, goal, ended_by),
-            *(tuple(json.loads(reasons or "[]")), nonce, json.loads(ratings or "null")),
-            *(None if verdict is None else bool(verdict), messages),
-        )
-
 
 SESSIONS = """
-    SELECT id, person, position, agent, goal, ended_by, reasons, rating_nonce, ratings, verdict,
+    SELECT id, CAST(person AS TEXT), position, agent, goal, ended_by,
+           IFNULL(reasons, '[]') AS "reasons [json]", rating_nonce, ratings AS "ratings [json]",
+           verdict AS "verdict [truth]",
            (SELECT COUNT(*) FROM exchange WHERE exchange.session = session.id)
     FROM session
 """
-"""Selects the rows for :meth:`Session.of`."""
+"""Selects the fields of :class:`Session`."""
 
 NOT_FORGOTTEN = "WHERE place >= 0"
 """Condition on the table ``person``: the others are forgotten, and only their number is left."""

@@ -6,8 +6,6 @@ import csv
 import io
 import json
 import re
-import sqlite3
-from contextlib import closing
 from dataclasses import asdict
 from datetime import datetime, timezone
 from typing import TYPE_CHECKING, Any
@@ -17,14 +15,11 @@ from bbq_torchrl.people.study.database import (
     NOT_FORGOTTEN,
     SCALES,
     StoreError,
-    as_store_errors,
     opened,
 )
 from bbq_torchrl.people.study.outcomes import report_names
-from bbq_torchrl.people.study.plan import StudyError
 from bbq_torchrl.people.study.storage import hashed
 from bbq_torchrl.utils.files import write_text
-from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -153,7 +148,7 @@ def _write_csv(file: Path, rows: Iterable[Mapping[str, Any]]) -> None:
 
 
 _PARTICIPANTS = f"""
-    SELECT person.id, token, ids, enrolled, active,
+    SELECT person.id, token, ids AS "ids [json]", enrolled, active,
            (SELECT COUNT(rated) FROM session WHERE session.person = person.id), {IS_FINISHED}
     FROM person {NOT_FORGOTTEN} ORDER BY person.id
 """
@@ -175,24 +170,20 @@ def export_participants(file: Path, data: Path) -> int:
         StoreError: the study's file cannot be read.
     """
     with opened(data) as connection:
-        [terms] = connection.execute("SELECT terms FROM study").fetchone()
         people = connection.execute(_PARTICIPANTS).fetchall()
     names = report_names([(number, token) for number, token, *_ in people])
-    ids = [json.loads(stored) for _, _, stored, *_ in people]
-    # The study file may have named other parameters before.
-    named = [*json.loads(terms)["join_parameters"], *(key for of in ids for key in of)]
-    parameters = dict.fromkeys(named)
+    parameters = dict.fromkeys(key for _, _, ids, *_ in people for key in ids)
     rows = [
         {
             "person": number,
             "name_in_report": names[str(number)],
-            **{key: of.get(key, "") for key in parameters},
+            **{key: ids.get(key, "") for key in parameters},
             "joined": _utc(enrolled),
             "last_active": _utc(active),
             "rated": rated,
             "finished": finished,
         }
-        for of, (number, _, _, enrolled, active, rated, finished) in zip(ids, people, strict=True)
+        for number, _, ids, enrolled, active, rated, finished in people
     ]
     _write_csv(file, rows)
     return len(rows)
@@ -213,22 +204,9 @@ def backup(data: Path, target: Path) -> None:
         StoreError: the file cannot be read.
         OSError: the copy cannot be created there.
     """
-    target.touch(exist_ok=False)
-    try:
-        with (
-            opened(data) as connection,
-            as_store_errors(target),
-            closing(sqlite3.connect(target)) as copy,
-        ):
-            connection.backup(copy)
-            copy.execute("PRAGMA journal_mode = DELETE")  # one file, without side files
-    except BaseException:
-        target.unlink()
-        raise
-
-
-_NUMBER = re.compile("[0-9]{1,18}")
-_LINK = re.compile(r".*/p/([\w-]+)/?", re.ASCII)
+    with opened(data, "rw") as connection:
+        target.touch(exist_ok=False)  # else SQLite would write into an empty file
+        connection.execute("VACUUM INTO ?", (str(target),))
 
 
 def forget(data: Path, participant: str) -> int:
@@ -246,18 +224,14 @@ def forget(data: Path, participant: str) -> int:
 
     Raises:
         StoreError: the file cannot be used, or has no such participant.
-        StudyError: ``participant`` is neither number nor link.
     """
-    link = _LINK.fullmatch(participant)
-    if link is None and not _NUMBER.fullmatch(participant):
-        text = f"it must be a person's number on your page or their link, got {shown(participant)}"
-        raise StudyError("participant", [text])
-    column, value = ("token", hashed(link[1])) if link else ("id", int(participant))
+    token = hashed(participant.rstrip("/").rpartition("/")[2])
+    whose = "SELECT id FROM person WHERE token = ? OR CAST(id AS TEXT) = ?"
     with opened(data, "rw") as connection:
         connection.execute("BEGIN IMMEDIATE")
-        found = connection.execute(f"SELECT id FROM person WHERE {column} = ?", (value,)).fetchone()
+        found = connection.execute(whose, (token, participant)).fetchone()
         if found is None:
-            raise StoreError(data, f"there is nobody of the {'link' if link else 'number'} given")
+            raise StoreError(data, "nobody has that number on your page, or that link")
         for statement in (
             "DELETE FROM exchange WHERE session IN (SELECT id FROM session WHERE person = ?)",
             "DELETE FROM session WHERE person = ?",

@@ -9,7 +9,7 @@ from collections import defaultdict
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache
-from itertools import chain, pairwise
+from itertools import chain, pairwise, starmap
 from statistics import fmean, median
 from typing import TYPE_CHECKING, NamedTuple, TypeVar
 
@@ -152,11 +152,11 @@ def read_outcomes(data: Path) -> Outcomes:
         ).fetchone()
         people = connection.execute(f"SELECT id, token FROM person {NOT_FORGOTTEN}").fetchall()
         names = report_names(people)
-        sessions = list(map(Session.of, connection.execute(f"{SESSIONS} ORDER BY session.id")))
+        sessions = list(starmap(Session, connection.execute(f"{SESSIONS} ORDER BY session.id")))
         ended = []
         for session in sessions:
             if session.is_ended:
-                exchanges = map(Exchange.of, connection.execute(EXCHANGES, (session.id,)))
+                exchanges = starmap(Exchange, connection.execute(EXCHANGES, (session.id,)))
                 about = {**vars(session), "person": names[session.person]}
                 ended.append(Outcome(**about, exchanges=tuple(exchanges)))
     return Outcomes(

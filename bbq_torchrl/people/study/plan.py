@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import re
 from dataclasses import asdict, dataclass, replace
 from itertools import chain
 from os.path import expanduser
@@ -18,6 +17,7 @@ from bbq_torchrl.settings import (
     PROBABILITY,
     REQUIRED,
     TEXT,
+    TEXTS,
     WORDS,
     Allowed,
     faults,
@@ -37,11 +37,9 @@ if TYPE_CHECKING:
 _MOVIE = "movie"
 _ATTAINABLE = "attainable"
 _QUOTED = "both text (yes, no, numbers and dates in quotes)"  # YAML reads others as something else
-_PARAMETER = re.compile(r"[A-Za-z_][\w-]{0,63}", re.ASCII)
-_HTTPS = re.compile(r"https://[\w.-]+(:\d{1,5})?([/?#][!-~]*)?", re.ASCII)
 
 _RECRUITING = ("join_parameters", "completion_code", "completion_url")
-MAY_CHANGE = ("participants", "joins_per_minute", "url", *_RECRUITING)
+MAY_CHANGE = ("participants", "url", *_RECRUITING)
 """Keys that may change after the first participant joins; the others are fixed by then."""
 
 
@@ -52,11 +50,6 @@ class StudyError(FaultsError):
 def _is_pair(value: Any) -> bool:
     is_list = isinstance(value, list) and len(value) == 2
     return is_list and all(map(WORDS.test, value)) and value[0] != value[1]
-
-
-def _are_parameters(value: list[Any]) -> bool:
-    are_names = all(isinstance(name, str) and _PARAMETER.fullmatch(name) for name in value)
-    return are_names and len(set(value)) == len(value) <= 20
 
 
 def _is_list(test: Callable[[list[Any]], bool]) -> Callable[[Any], bool]:
@@ -88,17 +81,9 @@ _NUMBERS = Allowed(
     "a list of goal numbers, from 1",
     _is_list(lambda value: all(map(integers(1).test, value))),
 )
-_PARAMETERS = Allowed(
-    "a list of distinct names of parameters, such as [PROLIFIC_PID]: letters, digits, _ and -",
-    _is_list(_are_parameters),
-)
-_CODE = Allowed(
-    "text of at most 200 characters (numbers in quotes)",
-    lambda value: isinstance(value, str) and len(value) <= 200,
-)
 _LINK = Allowed(
-    "a link that begins with https://, without spaces",
-    lambda value: isinstance(value, str) and (not value or bool(_HTTPS.fullmatch(value))),
+    "a link that begins with https://",
+    lambda value: value == "" or (isinstance(value, str) and value.startswith("https://")),
 )
 _RULES = _by_agent(
     f"lists of {', '.join(RULES)}",
@@ -130,13 +115,12 @@ class Terms:
     idle_minutes: int = setting(
         60, integers(1, 10_080), "silence after which an unfinished place goes to somebody else"
     )
-    joins_per_minute: int = setting(5, integers(1, 10_000), "participants who may join per minute")
     retention: str = setting("", TEXT, "until when the data are kept, for the consent page")
     url: str = setting("", ADDRESS, "the public address; the server's own if empty")
     join_parameters: Sequence[str] = setting(
-        [], _PARAMETERS, "parameters of the join link to store; the first is the participant's id"
+        [], TEXTS, "parameters of the join link to store; the first is the participant's id"
     )
-    completion_code: str = setting("", _CODE, "code shown at the end")
+    completion_code: str = setting("", TEXT, "code shown at the end")
     completion_url: str = setting("", _LINK, "link shown at the end")
     ask_below: Mapping[str, float] = setting(
         {},

@@ -25,7 +25,7 @@ SCALES = ("overall", "naturalness", "coherence", "completion")
 @pytest.fixture(scope="module")
 def server(tmp_path_factory):
     file = tmp_path_factory.mktemp("browser") / "study.yaml"
-    file.write_text(STUDY.replace("participants: 5", "participants: 50\njoins_per_minute: 50"))
+    file.write_text(STUDY.replace("participants: 5", "participants: 50"))
     with Server(file) as served:
         yield served
 

@@ -33,7 +33,6 @@ AGENTS = 'agents: {secret-bbqn: "shipped:bbqn_map", secret-dqn: "shipped:dqn"}'
 )
 def test_two_hundred_people_at_once_are_answered_within_a_second(tmp_path, talker):
     study = STUDY.replace("participants: 5", f"participants: {PEOPLE}")
-    study += f"joins_per_minute: {PEOPLE}\n"
     if "agents" in talker:
         pytest.importorskip("pycrfsuite", reason="needs the extra chat")
         study = re.sub("^agents.*$", AGENTS, study, flags=re.MULTILINE)

@@ -173,17 +173,6 @@ def test_the_consent_page_tells_for_how_long_data_are_kept(study, retention):
     assert ("know how long they are kept" in page) == (not retention)
 
 
-def test_who_wants_to_join_with_too_many_is_told_to_wait(study):
-    with published(study, joins_per_minute=1) as site:
-        site.enroll()
-        form = site.form(site.join, consent="yes")
-        page = site.client.post(site.join, data=form)
-        assert page.status_code == 429
-        assert "<button>Begin</button>" in page.text
-        site.store.rows("UPDATE person SET enrolled = enrolled - 60")
-        assert "/p/" in str(site.client.post(site.join, data=form).url)
-
-
 def test_the_researcher_sees_progress_and_beliefs_turn_by_turn(site):
     link = site.enroll()
     number, agent = site.session(link).id, site.session(link).agent

@@ -55,19 +55,10 @@ def test_a_short_file_is_enough(write, restaurant):
         *(("pairs", value) for value in ("[[yes, 1]]", "[[one, one]]", "[one]", "one")),
         *(("pairs", value) for value in ("[[one, three]]", "[[one, two], [two, one]]")),
         *(("participants", "0"), ("sessions", "3"), ("max_turns", "none"), ("idle_minutes", "-1")),
-        *(("joins_per_minute", "0"), ("retention", "2027-12-31"), ("url", "'lab.example'")),
-        *(
-            ("join_parameters", value)
-            for value in ("PROLIFIC_PID", "[a, a]", "[1]", "['a b']", "['']", "{a: b}", "[yes]")
-        ),
-        *(
-            ("completion_url", f"'{url}'")
-            for url in (
-                *("http://pay.example/", "javascript:alert(1)", "https://", "pay.example"),
-                *("https://pay.example/a b", "https:///x", "data:text/html,x"),
-            )
-        ),
-        *(("completion_code", "123"), ("completion_code", "x" * 201)),
+        *(("retention", "2027-12-31"), ("url", "'lab.example'")),
+        *(("join_parameters", "PROLIFIC_PID"), ("join_parameters", "[1]")),
+        *(("completion_url", "'http://pay.example/'"), ("completion_url", "7")),
+        ("completion_code", "123"),
         *(("goals", "[0]"), ("goals", "[1, 1]"), ("goals", "[100000, 1]"), ("goals", "all")),
         *(("domain", "nowhere"), ("domain", "7")),
         *(("ask_below", "{three: .9}"), ("ask_below", "{one: 2}"), ("ask_below", "high")),

@@ -10,7 +10,7 @@ from dataclasses import replace
 import pytest
 
 from bbq_torchrl.people.study.database import SCALES, StoreError, current, opened
-from bbq_torchrl.people.study.storage import JoinRateError, Store
+from bbq_torchrl.people.study.storage import Store
 
 from .fakes import FakeTalker, prints
 
@@ -71,7 +71,7 @@ def test_what_is_another_study_is_refused_all_at_once_but_more_people_are_welcom
     about = ("agents", "max_turns", "99.0", "'secret-bbqn'", "'secret-dqn'")
     for name, fault in zip(about, error.value.faults, strict=True):
         assert name in fault
-    open_store(replace(study.terms, participants=50, joins_per_minute=1))
+    open_store(replace(study.terms, participants=50))
 
 
 def test_places_are_given_out_in_order_and_again_when_left(open_store, study, clock):
@@ -108,18 +108,6 @@ def test_who_joins_and_says_nothing_has_a_place_for_ten_minutes(open_store, stud
     clock.now += 1
     assert store.enroll(NONCES[1]) is not None
     assert store.sessions(silent) != []  # who comes back late goes on all the same
-
-
-def test_no_more_people_join_in_a_minute_than_the_study_allows(open_store, study, clock):
-    store = open_store(replace(study.terms, participants=100, joins_per_minute=3))
-    first = [store.enroll(nonce) for nonce in NONCES[:3]]
-    with pytest.raises(JoinRateError):
-        store.enroll(NONCES[3])
-    assert [store.enroll(nonce) for nonce in NONCES[:3]] == first
-    clock.now += 60
-    assert store.enroll(NONCES[3]) is not None
-    clock.now -= 86_400  # a clock of yesterday locks nobody out
-    assert store.enroll(NONCES[4]) is not None
 
 
 def test_who_has_finished_keeps_their_place(open_store, study, clock):
@@ -198,7 +186,7 @@ def test_a_block_that_fails_stores_nothing(open_store):
 
 @pytest.mark.parametrize("pragma", ["max_page_count = 1", "query_only = ON"])
 def test_what_cannot_be_written_is_a_sentence_and_keeps_what_was_stored(open_store, study, pragma):
-    store = open_store(replace(study.terms, participants=1_000, joins_per_minute=1_000))
+    store = open_store(replace(study.terms, participants=1_000))
     token = store.enroll(NONCES[0])
     # SQLite's own ways: the file may not grow, or not change, any more.
     store.rows(f"PRAGMA {pragma}")
