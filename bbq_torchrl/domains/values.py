@@ -10,12 +10,10 @@ from __future__ import annotations
 import unicodedata
 from collections import Counter, defaultdict
 from functools import lru_cache
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
-
-    from bbq_torchrl.domains.domain import Goal
 
 
 NONE = 0
@@ -117,14 +115,14 @@ def plain(text: str) -> str:
 
 def misspellings(
     records: Sequence[Mapping[str, str]],
-    goals: Sequence[Goal],
+    goals: Sequence[Any],
     error_values: Mapping[str, Iterable[str]],
 ) -> list[Misspelling]:
     """Finds values of a slot that do not match although their :func:`plain` forms are equal.
 
     Args:
         records: slot to value.
-        goals: the users' goals.
+        goals: the users' goals, :class:`~bbq_torchrl.domains.Goal`.
         error_values: slot to values.
     """
     entries: list[tuple[str, int | str, Iterable[tuple[str, str]]]] = [

@@ -16,8 +16,7 @@ from bbq_torchrl.data.replay import TRANSITION_KEYS
 from bbq_torchrl.evaluation.rollouts import RoundEvaluator
 from bbq_torchrl.options import Task
 from bbq_torchrl.options.task import action_mask_key, replica_values
-from bbq_torchrl.runs.folders import finished_result
-from bbq_torchrl.runs.prepare import config_fingerprint
+from bbq_torchrl.runs.folders import config_fingerprint, finished_result
 from bbq_torchrl.settings import ConfigError, walk
 from bbq_torchrl.trainers import (
     CheckpointDamagedError,

@@ -12,7 +12,7 @@ import yaml
 from filelock import FileLock, Timeout
 
 from bbq_torchrl.options import Config, schemas, validate
-from bbq_torchrl.settings import ConfigError, filled
+from bbq_torchrl.settings import ConfigError, filled, walk
 from bbq_torchrl.utils.files import (
     CHECKPOINTS,
     CONFIG,
@@ -36,6 +36,29 @@ ANOTHER_SWEEP = (
     "the same command continues a sweep; give another hydra.sweep.dir, or a hydra.sweep.subdir "
     "with a separate folder for each job"
 )
+
+CHANGEABLE = (
+    "protocol.rounds",
+    "protocol.keep_checkpoints",
+    "logger",
+    "device",
+    "domain.path",  # a folder may be moved
+)
+"""Keys and groups that may be changed with ``resume``."""
+
+_NOT_OF_THE_TRAINING = (
+    *CHANGEABLE,
+    "resume",
+    "threads",
+    "protocol.checkpoint_every",
+    "protocol.eval_dialogues",
+    "protocol.eval_batch",
+    "protocol.eval_every",
+    "protocol.eval_every_dialogues",
+    "agent.evaluate",
+    "agent.evaluate_draws",
+)
+"""Keys and groups that a checkpoint does not depend on."""
 
 
 def reserve(folder: Path) -> Path:
@@ -179,3 +202,12 @@ def restarted_config(config: Config, folder: Path, *, way: str = ANOTHER_SWEEP) 
     if run_config(folder) != dataclasses.replace(config, resume=None):
         raise ConfigError(f"{folder} already holds another run: {way}")
     return dataclasses.replace(config, resume=str(folder))
+
+
+def config_fingerprint(config: Config) -> dict[str, Any]:
+    """Returns the settings that a checkpoint depends on, as JSON values by dotted key."""
+    return {
+        key: value
+        for key, _, value in walk(config)
+        if not {key, key.partition(".")[0]} & set(_NOT_OF_THE_TRAINING)
+    }

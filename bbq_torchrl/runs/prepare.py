@@ -19,38 +19,15 @@ from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl.options import Config, validate
 from bbq_torchrl.runs.compose import key_of, quoted, to_config
-from bbq_torchrl.runs.folders import is_finished, reserve, run_config, run_lock
+from bbq_torchrl.runs.folders import CHANGEABLE, is_finished, reserve, run_config, run_lock
 from bbq_torchrl.runs.sweeps import has_failed, table_of_runs
-from bbq_torchrl.settings import ConfigError, walk
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.files import CONFIG
 from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
-
-CHANGEABLE = (
-    "protocol.rounds",
-    "protocol.keep_checkpoints",
-    "logger",
-    "device",
-    "domain.path",  # a folder may be moved
-)
-"""Keys and groups that may be changed with ``resume``."""
-
-_NOT_OF_THE_TRAINING = (
-    *CHANGEABLE,
-    "resume",
-    "threads",
-    "protocol.checkpoint_every",
-    "protocol.eval_dialogues",
-    "protocol.eval_batch",
-    "protocol.eval_every",
-    "protocol.eval_every_dialogues",
-    "agent.evaluate",
-    "agent.evaluate_draws",
-)
-"""Keys and groups that a checkpoint does not depend on."""
 
 _ON_THIS_MACHINE = ("cores", "joblib", "basic")
 """Launchers whose jobs are this process or its children."""
@@ -195,12 +172,3 @@ def _value(config: Any, key: str) -> Any:
     for name in key.split("."):
         config = getattr(config, name, None)
     return getattr(config, "name", config)
-
-
-def config_fingerprint(config: Config) -> dict[str, Any]:
-    """Returns the settings that a checkpoint depends on, as JSON values by dotted key."""
-    return {
-        key: value
-        for key, _, value in walk(config)
-        if not {key, key.partition(".")[0]} & set(_NOT_OF_THE_TRAINING)
-    }

@@ -25,7 +25,8 @@ from hydra.types import RunMode
 from bbq_torchrl.options.registry import conf_folder
 from bbq_torchrl.options.store import register_options
 from bbq_torchrl.runs.compose import quoted, take_config_dir, train_command
-from bbq_torchrl.runs.prepare import config_fingerprint, final_config
+from bbq_torchrl.runs.folders import config_fingerprint
+from bbq_torchrl.runs.prepare import final_config
 from bbq_torchrl.runs.sweeps import run_job
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.files import CONFIG

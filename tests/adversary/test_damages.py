@@ -10,7 +10,7 @@ import torch
 from planted import rewritten
 
 from bbq_torchrl.runs.folders import load_config
-from bbq_torchrl.runs.prepare import config_fingerprint
+from bbq_torchrl.runs.folders import config_fingerprint
 from bbq_torchrl.runs.train import build_trainer
 from bbq_torchrl.trainers import CheckpointDamagedError, CheckpointMismatchError
 
