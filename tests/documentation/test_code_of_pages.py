@@ -35,6 +35,8 @@ def test_python_of_a_page_runs_from_top_to_bottom(page, monkeypatch):
     with own_options():  # a page's options are its own
         for text in snippets(page, "python"):
             exec(compile(text, str(page), "exec"), vars(module))
+    if hasattr(module, "Parrot"):
+        assert module.Parrot(None).reply("parrot", None, "bye", seed=0).ended
 
 
 def first(argument):
