@@ -180,9 +180,10 @@ def report_names(people: Sequence[tuple[int, str]]) -> dict[str, str]:
 
 
 class Difference(NamedTuple):
-    """Participants' differences between two agents, in success or in the overall rating.
+    """Participants' differences between the two agents of a declared pair.
 
     Attributes:
+        pair: the agents' names.
         people: the number of participants who have sessions with both.
         mean: their mean difference, with its interval.
         p: the p-value of the sign-flip test.
@@ -190,6 +191,7 @@ class Difference(NamedTuple):
         classical: p-values of the usual tests, which treat sessions as independent, by name.
     """
 
+    pair: str
     people: int
     mean: Estimate
     p: PValue
@@ -197,71 +199,44 @@ class Difference(NamedTuple):
     classical: Mapping[str, PValue]
 
 
-class Comparison(NamedTuple):
-    """A declared pair.
-
-    Attributes:
-        better: the agent declared first.
-        worse: the other.
-        success: the difference in success.
-        rating: the difference in the overall rating.
-    """
-
-    better: str
-    worse: str
-    success: Difference
-    rating: Difference
-
-
-def compare_pairs(outcomes: Outcomes, without: Collection[str] = ()) -> list[Comparison]:
-    """Returns the comparison of every declared pair.
+def compare_pairs(
+    outcomes: Outcomes, quantity: str, without: Collection[str] = ()
+) -> list[Difference]:
+    """Returns, for each declared pair, the difference of participants' means.
 
     Args:
         outcomes: the study's outcomes.
+        quantity: ``success`` or ``rating``, the overall one.
         without: participants to leave out.
     """
     kept = [session for session in outcomes.sessions if session.person not in without]
     outcomes = replace(outcomes, sessions=tuple(kept))
-    success = _differences(outcomes, outcomes.successes, 1, _exact_tests)
-    rating = _differences(outcomes, outcomes.ratings, HIGHEST - LOWEST, _rank_test)
-    return [
-        Comparison(better, worse, *differences)
-        for (better, worse), *differences in zip(outcomes.terms.pairs, success, rating, strict=True)
-    ]
-
-
-def _differences(
-    outcomes: Outcomes,
-    of: Callable[[str], Mapping[str, Sequence[int]]],
-    most: int,
-    classical: Callable[[list[int], list[int]], Mapping[str, float]],
-) -> list[Difference]:
-    """Returns, for each pair, participants' means with one agent minus those with the other.
-
-    The differences lie between ``-most`` and ``most``.
-    """
+    of: Callable[[str], Mapping[str, Sequence[int]]] = outcomes.successes
+    most, classical = 1, _exact_tests
+    if quantity == "rating":
+        of, most, classical = outcomes.ratings, HIGHEST - LOWEST, _rank_test
     differences, tests = [], []
     for pair in outcomes.terms.pairs:
-        one, other = (
-            {person: Fraction(sum(v), len(v)) for person, v in of(agent).items()} for agent in pair
-        )
+        one, other = map(of, pair)
         both = sorted(one.keys() & other.keys())
-        differences.append([one[person] - other[person] for person in both])
-        found = classical(*(list(chain(*of(agent).values())) for agent in pair))
+        differences.append([_mean(one[person]) - _mean(other[person]) for person in both])
+        found = classical(list(chain(*one.values())), list(chain(*other.values())))
         tests.append({name: PValue(p) for name, p in found.items()})
     p_values = list(map(sign_flip, differences))
+    means = [
+        participant_mean([[float(value)] for value in values], (-most, most))
+        for values in differences
+    ]
     return [
-        Difference(
-            len(values),
-            participant_mean([[float(value)] for value in values], (-most, most)),
-            PValue(p),
-            PValue(adjusted),
-            others,
-        )
-        for values, p, adjusted, others in zip(
-            differences, p_values, holm(p_values), tests, strict=True
+        Difference(" – ".join(pair), len(values), mean, PValue(p), PValue(adjusted), others)
+        for pair, values, mean, p, adjusted, others in zip(
+            outcomes.terms.pairs, differences, means, p_values, holm(p_values), tests, strict=True
         )
     ]
+
+
+def _mean(values: Sequence[int]) -> Fraction:
+    return Fraction(sum(values), len(values))
 
 
 def _exact_tests(one: Sequence[int], other: Sequence[int]) -> dict[str, float]:

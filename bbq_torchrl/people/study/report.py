@@ -8,9 +8,11 @@ from functools import partial
 from itertools import chain
 from typing import TYPE_CHECKING
 
+import numpy as np
+
 from bbq_torchrl.people.study.database import HIGHEST, LOWEST, SCALES
 from bbq_torchrl.people.study.export import export
-from bbq_torchrl.people.study.outcomes import compare_pairs
+from bbq_torchrl.people.study.outcomes import Outcome, compare_pairs
 from bbq_torchrl.people.study.simulate import RATING_RULE
 from bbq_torchrl.utils.reports import Report, Table, add_legend, draw_intervals, subplots
 from bbq_torchrl.utils.statistics import auroc, kappa, participant_mean, proportion
@@ -21,7 +23,7 @@ if TYPE_CHECKING:
 
     from matplotlib.figure import Figure
 
-    from bbq_torchrl.people.study.outcomes import Comparison, Difference, Outcome, Outcomes
+    from bbq_torchrl.people.study.outcomes import Difference, Outcomes
     from bbq_torchrl.utils.statistics import Estimate
 
 FIRST = 3
@@ -48,26 +50,19 @@ def report(outcomes: Outcomes) -> Report:
     if not outcomes.sessions:
         nothing = "No session has ended yet: there is nothing to report."
         return Report("report", title, [*_head(outcomes), nothing], {})
-    compared = compare_pairs(outcomes)
+    compared = compare_pairs(outcomes, "success")
     sections = (
         *(_head(outcomes), _agents(outcomes), _pairs(outcomes, compared), _ratings(outcomes)),
         *(_failures(outcomes), _agreement(outcomes), _uncertainty(outcomes), _flags(outcomes)),
     )
-    success = {
-        f"{agent} (n = {_count(by_person)})": proportion(by_person)
-        for agent in outcomes.terms.agents
-        if (by_person := outcomes.successes(agent).values())
-    }
+    agents = outcomes.terms.agents
+    success = {agent: proportion(outcomes.successes(agent).values()) for agent in agents}
     figures = {
         "success": ("Success", partial(draw_intervals, {"success": success}, title=title)),
         "ratings": ("Distribution of ratings", partial(draw_ratings, title, outcomes)),
     }
     if compared:
-        differences = {
-            f"{pair.better} – {pair.worse} (p {pair.success.holm} by Holm)": pair.success.mean
-            for pair in compared
-        }
-        panels = {"difference in success": differences}
+        panels = {"difference in success": {found.pair: found.mean for found in compared}}
         draw = partial(draw_intervals, panels, title=title, limits=(-1.0, 1.0))
         figures["differences"] = ("Differences of the declared pairs", draw)
     return Report("report", title, list(chain(*sections)), figures)
@@ -78,7 +73,7 @@ def _head(outcomes: Outcomes) -> Iterator[str]:
         yield f"**The people of this study are simulated users.** {RATING_RULE}"
     rated = sum(session.is_rated for session in outcomes.sessions)
     yield (
-        f"{outcomes.enrolled} {_who(outcomes)} enrolled of {outcomes.terms.participants} wanted; "
+        f"{outcomes.enrolled} people enrolled of {outcomes.terms.participants} wanted; "
         f"{len(outcomes.sessions)} sessions ended, {rated} of them rated; {outcomes.open} begun "
         f"and not ended (they are in no number below). bbq-torchrl {outcomes.package}."
     )
@@ -102,11 +97,11 @@ def _agents(outcomes: Outcomes) -> Iterator[str | Table]:
         "Student's t over people, as for ratings from 1 to 5. Where that would leave the scale, or "
         "has no width, two more people are counted, one at each end of the scale (Bonett and Price "
         "2012); so it is for differences. Success is the judge's, by goal card and dialogue acts; "
-        f"own verdict is what {_who(outcomes)} said."
+        "own verdict is what people said."
     )
 
 
-def _pairs(outcomes: Outcomes, compared: Sequence[Comparison]) -> Iterator[str | Table]:
+def _pairs(outcomes: Outcomes, compared: Sequence[Difference]) -> Iterator[str | Table]:
     yield "## Declared pairs"
     if not compared:
         yield "No pair was declared, so nothing is tested."
@@ -117,19 +112,21 @@ def _pairs(outcomes: Outcomes, compared: Sequence[Comparison]) -> Iterator[str |
         "the same by Holm over all declared pairs. Fisher, Boschloo and Mann-Whitney take sessions "
         "for independent and stand beside it, unadjusted. The unit is the person."
     )
-    yield _compared("pairs_by_rating", "rating", compared)
+    yield _compared("pairs_by_rating", "rating", compare_pairs(outcomes, "rating"))
     if flagged := outcomes.flags():
         yield f"Without the {len(flagged)} people who are flagged below:"
-        yield _compared("pairs_without_flagged", "success", compare_pairs(outcomes, flagged))
+        without = compare_pairs(outcomes, "success", flagged)
+        yield _compared("pairs_without_flagged", "success", without)
 
 
-def _compared(name: str, quantity: str, compared: Sequence[Comparison]) -> Table:
-    rows = []
-    for pair in compared:
-        found: Difference = getattr(pair, quantity)
-        row = {"pair": f"{pair.better} – {pair.worse}", "people": found.people}
-        row |= {quantity: found.mean, "p sign-flip": found.p, "Holm": found.holm}
-        rows.append({**row, **found.classical})
+def _compared(name: str, quantity: str, compared: Sequence[Difference]) -> Table:
+    rows = [
+        {
+            **{"pair": found.pair, "people": found.people, quantity: found.mean},
+            **{"p sign-flip": found.p, "Holm": found.holm, **found.classical},
+        }
+        for found in compared
+    ]
     return Table(name, rows)
 
 
@@ -160,8 +157,7 @@ def _agreement(outcomes: Outcomes) -> Iterator[str]:
         lambda item: None if item.verdict is None else (item.verdict, item.success)
     )
     found = kappa(list(both.values()))
-    whose = "The simulated users'" if outcomes.simulated else "People's"
-    yield f"## {whose} own verdict and the judge's"
+    yield "## People's own verdict and the judge's"
     if math.isnan(found.value):
         yield "κ is undefined: one of the two is always the same, or nothing is rated."
     else:
@@ -172,23 +168,16 @@ def _agreement(outcomes: Outcomes) -> Iterator[str]:
 
 
 def _uncertainty(outcomes: Outcomes) -> Iterator[str | Table]:
+    signs: dict[str, Callable[[Outcome], float | None]] = {
+        "entropy": Outcome.entropy,
+        f"entropy of the first {FIRST} answers": lambda item: item.entropy(FIRST),
+        "length": lambda item: len(item.exchanges),
+    }
     rows = []
     for agent in outcomes.terms.agents:
-        people = outcomes.by_person(
-            lambda item: None if item.entropy() is None else item, agent
-        ).values()
-        if people:
-            rows.append(
-                {
-                    "agent": agent,
-                    "sessions": _count(people),
-                    "entropy": _warning(people, lambda item: item.entropy()),
-                    f"entropy of the first {FIRST} answers": _warning(
-                        people, lambda item: item.entropy(FIRST)
-                    ),
-                    "length": _warning(people, lambda item: len(item.exchanges)),
-                }
-            )
+        if doubts := outcomes.by_person(Outcome.entropy, agent).values():
+            warnings = {name: _warning(outcomes, agent, sign) for name, sign in signs.items()}
+            rows.append({"agent": agent, "sessions": _count(doubts), **warnings})
     if rows:
         yield "## Does uncertainty predict failure?"
         yield Table("uncertainty", rows)
@@ -202,16 +191,12 @@ def _uncertainty(outcomes: Outcomes) -> Iterator[str | Table]:
         )
 
 
-def _warning(
-    people: Collection[Sequence[Outcome]], sign: Callable[[Outcome], float | None]
-) -> Estimate:
+def _warning(outcomes: Outcomes, agent: str, sign: Callable[[Outcome], float | None]) -> Estimate:
     """Returns the AUROC of a sign as a predictor of failed sessions, where it is present."""
-    return auroc(
-        [
-            [(value, not item.success) for item in sessions if (value := sign(item)) is not None]
-            for sessions in people
-        ]
+    found = outcomes.by_person(
+        lambda item: None if (value := sign(item)) is None else (value, not item.success), agent
     )
+    return auroc(list(found.values()))
 
 
 def _flags(outcomes: Outcomes) -> Iterator[str | Table]:
@@ -222,10 +207,6 @@ def _flags(outcomes: Outcomes) -> Iterator[str | Table]:
         yield "All of them are in every number above unless it says otherwise."
     else:
         yield "Nobody is conspicuous."
-
-
-def _who(outcomes: Outcomes) -> str:
-    return "simulated users" if outcomes.simulated else "people"
 
 
 def _count(by_person: Collection[Sequence[object]]) -> int:
@@ -241,16 +222,13 @@ def draw_ratings(title: str, outcomes: Outcomes) -> Figure:
     """
     agents = list(outcomes.terms.agents)
     rated = [list(chain(*outcomes.ratings(agent).values())) for agent in agents]
+    counts = np.array([[of.count(rating) for of in rated] for rating in _RATINGS])
+    shares = counts / counts.sum(0).clip(min=1)
     figure, [panel] = subplots(1)
-    left = [0.0] * len(agents)
-    for rating in _RATINGS:
-        shares = [values.count(rating) / max(1, len(values)) for values in rated]
-        panel.barh(
-            agents, shares, left=left, color=_COLORS[rating - LOWEST], label=f"rating {rating}"
-        )
-        left = [before + share for before, share in zip(left, shares, strict=True)]
-    whose = "simulated " if outcomes.simulated else ""
-    panel.set(title=title, xlabel=f"share of {whose}ratings")
+    for number, color in enumerate(_COLORS):
+        left, label = shares[:number].sum(0), f"rating {_RATINGS[number]}"
+        panel.barh(agents, shares[number], left=left, color=color, label=label)
+    panel.set(title=title, xlabel="share of ratings")
     panel.invert_yaxis()
     add_legend(figure)
     return figure
