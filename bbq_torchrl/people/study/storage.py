@@ -178,10 +178,8 @@ class Store:
                 "INSERT INTO person (token, place, enrolled, active, ids) VALUES (?, ?, ?, ?, ?)",
                 (hashed(token), place, now, now, json.dumps(ids or {})),
             ).lastrowid
-            terms = self._terms
-            plan = assignments(
-                place, tuple(terms.agents), terms.goals, terms.sessions, self._secret
-            )
+            terms, agents = self._terms, tuple(self._terms.agents)
+            plan = assignments(place, agents, terms.goals, terms.sessions, self._secret)
             connection.executemany(
                 "INSERT INTO session (person, position, agent, goal) VALUES (?, ?, ?, ?)",
                 [(person, number, *item) for number, item in enumerate(plan, start=1)],
@@ -273,19 +271,18 @@ class Store:
             The number of people, by ``wanted``, ``enrolled``, ``finished``, ``active`` and
             ``left``; and all sessions.
         """
-        rows = self.rows(f"{SESSIONS} ORDER BY person, position")
-        query = f"SELECT active > ?, {IS_FINISHED} FROM person {NOT_FORGOTTEN}"
-        people = self.rows(query, self._idle_since(self._clock()))
-        finished = sum(done for _, done in people)
-        active = sum(recent and not done for recent, done in people)
+        query = f"""
+            SELECT COUNT(*), COUNT(*) FILTER (WHERE {IS_FINISHED}),
+                   COUNT(*) FILTER (WHERE active > ? AND NOT {IS_FINISHED})
+            FROM person {NOT_FORGOTTEN}
+        """
+        [(enrolled, finished, active)] = self.rows(query, self._idle_since(self._clock()))
         counts = {
-            "wanted": self._terms.participants,
-            "enrolled": len(people),
-            "finished": finished,
-            "active": active,
-            "left": len(people) - finished - active,
+            **{"wanted": self._terms.participants, "enrolled": enrolled, "finished": finished},
+            **{"active": active, "left": enrolled - finished - active},
         }
-        return counts, list(starmap(Session, rows))
+        sessions = self.rows(f"{SESSIONS} ORDER BY person, position")
+        return counts, list(starmap(Session, sessions))
 
 
 def _end(

@@ -27,7 +27,7 @@ from bbq_torchrl.people.study.storage import ForgottenError
 from bbq_torchrl.utils.text import MAX_CHARACTERS, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Mapping
 
     from starlette.middleware.base import RequestResponseEndpoint
     from starlette.requests import Request
@@ -40,8 +40,6 @@ if TYPE_CHECKING:
 JOIN, RESEARCHER = "join", "researcher"
 """The purposes of the keys in the two links that :meth:`Store.key` makes."""
 
-MAX_LISTED = 1_000
-MAX_BARS = 12
 QUESTIONS = {  # of SCALES
     "overall": "Overall, how well did the assistant do?",
     "naturalness": "How natural was what it said?",
@@ -88,52 +86,53 @@ def application(study: Study, store: Store, talker: Talker) -> Starlette:
         store: the study's store.
         talker: the agents.
     """
-    address = Address.of(study.terms.url)
-    pages = _Pages(study, store, talker, address.prefix)
+    pages = _Pages(study, store, talker)
     # Pages are not coroutines: Starlette runs each in a thread.
     routes = [
-        Route("/join/{key}", pages.consent),
-        Route("/join/{key}", pages.enroll, methods=["POST"]),
+        Route("/join/{key}", pages.join, methods=["GET", "POST"]),
         Route("/p/{token}", pages.now),
         Route("/p/{token}/{step}", pages.step, methods=["POST"]),
         Route("/r/{key}", pages.progress),
         Route("/r/{key}/{session}", pages.transcript),
         Mount("/static", StaticFiles(packages=[("bbq_torchrl.people.study", "static")])),
     ]
-    handlers: dict[Any, Any] = {
-        HTTPException: pages.no_page,
-        StoreError: pages.not_stored,
-        RefusedError: pages.refused,
-    }
-    guard = Middleware(BaseHTTPMiddleware, dispatch=_Guard(pages.message, address))
+    handlers: dict[Any, Any] = {HTTPException: pages.no_page, StoreError: pages.not_stored}
+    guard = Middleware(BaseHTTPMiddleware, dispatch=pages.guard)
     app = Starlette(routes=routes, middleware=[guard], exception_handlers=handlers)
     app.router.redirect_slashes = False  # its redirects ignore prefix and HTTPS
     return app
 
 
-class _Guard:
-    """Refuses forms that are foreign, too large or too slow; sets the headers of every response.
+async def _body(request: Request) -> bytes:
+    """Returns the body of a request, of one that is too large only the beginning."""
+    body = b""
+    async for chunk in request.stream():
+        body = (body + chunk)[: MAX_BODY + 1]
+    return body
 
-    The fields of a form are in ``request.state.form``. Pages are served with and without the
-    prefix of the study's address, and with and without a slash at the end.
 
-    Args:
-        page: makes a page from a status and a sentence.
-        address: the study's address.
-    """
+class _Pages:
+    """The pages, each a function from request to response."""
 
-    def __init__(self, page: Callable[[int, str], Response], address: Address) -> None:
-        self._page, self._address = page, address
+    def __init__(self, study: Study, store: Store, talker: Talker) -> None:
+        self._study, self._store, self._talker = study, store, talker
+        self._address = Address.of(study.terms.url)
+        self._conversations = Conversations(study, store, talker)
+        self._steps = {name: getattr(self._conversations, name) for name in ("say", "end", "rate")}
 
-    async def __call__(self, request: Request, answer: RequestResponseEndpoint) -> Response:
-        """Answers a request."""
+    async def guard(self, request: Request, answer: RequestResponseEndpoint) -> Response:
+        """Refuses forms that are foreign, too large or too slow; sets the headers of all responses.
+
+        The fields of a form are in ``request.state.form``. Pages are served with and without the
+        prefix of the study's address, and with and without a slash at the end.
+        """
         request.scope["path"] = self._address.inner(request.scope["path"])
         try:
             if request.method not in ("GET", "HEAD"):
                 request.state.form = await self._form(request)
             response = await answer(request)
         except RefusedError as error:
-            response = self._page(error.status, str(error))
+            response = self._html("message", error.status, text=str(error))
         except ClientDisconnect:  # half a form: nobody reads a response
             response = Response(status_code=400)
         for name, value in HEADERS.items():
@@ -175,49 +174,27 @@ class _Guard:
         )
         return True
 
-
-async def _body(request: Request) -> bytes:
-    """Returns the body of a request, of one that is too large only the beginning."""
-    body = b""
-    async for chunk in request.stream():
-        body = (body + chunk)[: MAX_BODY + 1]
-    return body
-
-
-class _Pages:
-    """The pages, each a function from request to response."""
-
-    def __init__(self, study: Study, store: Store, talker: Talker, prefix: str) -> None:
-        self._study, self._store, self._talker = study, store, talker
-        self._prefix = prefix
-        self._conversations = Conversations(study, store, talker)
-        self._steps = {name: getattr(self._conversations, name) for name in ("say", "end", "rate")}
-
     # -- taking part -------------------------------------------------------------------------------
 
-    def consent(self, request: Request) -> Response:
-        """Shows the consent form."""
+    def join(self, request: Request) -> Response:
+        """Shows the consent form, and gives who consents their link."""
         self._check(request, JOIN)
-        self._ids(request)
-        return self._consent(200, "")
-
-    def enroll(self, request: Request) -> Response:
-        """Gives a participant their link."""
-        self._check(request, JOIN)
-        ids = self._ids(request)
-        try:
-            token = self._conversations.enroll(request.state.form, ids)
-        except RefusedError as error:
-            return self._consent(error.status, str(error))
-        return self._to(token)
+        ids = ids_of(self._study.terms.join_parameters, request.query_params.getlist)
+        status, problem = 200, ""
+        if request.method == "POST":
+            try:
+                return self._to(self._conversations.enroll(request.state.form, ids))
+            except RefusedError as error:
+                status, problem = error.status, str(error)
+        return self._html("consent", status, problem=problem)
 
     def now(self, request: Request) -> Response:
         """Shows a participant's next step."""
-        return self._page(self._token(request))
+        return self._page(request.path_params["token"])
 
     def step(self, request: Request) -> Response:
         """Takes a step and shows the next page; a refused form keeps its content."""
-        token, form = self._token(request), request.state.form
+        token, form = request.path_params["token"], request.state.form
         take = self._steps.get(request.path_params["step"])
         if take is None:
             raise HTTPException(404)
@@ -227,11 +204,11 @@ class _Pages:
             return self._page(token, error.status, str(error), form)
         except ForgottenError:
             text = "All that you wrote here is deleted, and your link leads nowhere any more."
-            return self.message(410, text)
+            return self._html("message", 410, text=text)
         except Exception:
             _log.exception("a message was not answered, or a step not stored")
             problem = "This could not be answered or stored. Please send it again in a minute."
-            return self._page(token, 503, problem, form, form["nonce"])
+            return self._page(token, 503, problem, form, nonce=form["nonce"])
         return self._to(token)
 
     def _page(
@@ -240,11 +217,11 @@ class _Pages:
         status: int = 200,
         problem: str = "",
         form: Mapping[str, str] | None = None,
-        nonce: str = "",
+        **again: str,
     ) -> Response:
         """Returns the page of the participant's next step."""
         sessions, form = self._store.sessions(token), form or {}
-        if not sessions:  # forgotten by now
+        if not sessions:
             raise HTTPException(404)
         if (session := current(sessions)) is None:
             return self._html("done", status, problem=problem)
@@ -257,19 +234,12 @@ class _Pages:
             sessions=len(sessions),
             card=self._card(session),
             exchanges=self._store.exchanges(session.id),
-            nonce=nonce or _new_nonce(),
+            **again,
             # A refused text is kept, unless it is from an earlier conversation.
             given=form if form.get("session") == str(session.position) else {},
             max_text=MAX_CHARACTERS,
             questions=QUESTIONS,
         )
-
-    def _token(self, request: Request) -> str:
-        """Returns a participant's token."""
-        token: str = request.path_params["token"]
-        if not self._store.sessions(token):
-            raise HTTPException(404)
-        return token
 
     # -- the researcher ----------------------------------------------------------------------------
 
@@ -278,8 +248,7 @@ class _Pages:
         self._check(request, RESEARCHER)
         counts, sessions = self._store.progress()
         begun = [session for session in reversed(sessions) if session.messages]
-        key = request.path_params["key"]
-        return self._html("progress", key=key, counts=counts, begun=begun, max_listed=MAX_LISTED)
+        return self._html("progress", key=request.path_params["key"], counts=counts, begun=begun)
 
     def transcript(self, request: Request) -> Response:
         """Shows a session turn by turn, with the agent's beliefs."""
@@ -292,29 +261,21 @@ class _Pages:
                     session=session,
                     card=self._card(session),
                     turns=self._store.exchanges(session.id),
-                    max_bars=MAX_BARS,
                 )
         raise HTTPException(404)
 
     # -- what all pages share ----------------------------------------------------------------------
 
-    def message(self, status: int, text: str) -> Response:
-        """Returns a page with one sentence."""
-        return self._html("message", status, text=text)
-
     def no_page(self, request: Request, error: HTTPException) -> Response:
         """Returns the same page for any wrong or guessed link."""
-        return self.message(error.status_code, "There is no page here. Please check your link.")
-
-    def refused(self, request: Request, error: RefusedError) -> Response:
-        """Returns the page for a join link that cannot be used."""
-        return self.message(error.status, str(error))
+        text = "There is no page here. Please check your link."
+        return self._html("message", error.status_code, text=text)
 
     def not_stored(self, request: Request, error: StoreError) -> Response:
         """Returns the page for a study file that cannot be used."""
         _log.error("%s", error)
         text = "The study cannot be reached just now. Please try again in a minute."
-        return self.message(503, text)
+        return self._html("message", 503, text=text)
 
     def _card(self, session: Session) -> dict[str, Any]:
         return card(self._talker.domain.goals[session.goal - 1], self._talker.labels)
@@ -324,21 +285,11 @@ class _Pages:
         if not hmac.compare_digest(given, self._store.key(purpose).encode()):
             raise HTTPException(404)
 
-    def _ids(self, request: Request) -> dict[str, str]:
-        """Returns the ids in a join link."""
-        return ids_of(self._study.terms.join_parameters, request.query_params.getlist)
-
-    def _consent(self, status: int, problem: str) -> Response:
-        return self._html("consent", status, problem=problem, nonce=_new_nonce())
-
     def _html(self, template: str, status: int = 200, **values: Any) -> HTMLResponse:
         page = _TEMPLATES.get_template(f"{template}.html")
-        text = page.render(terms=self._study.terms, prefix=self._prefix, **values)
+        shared = {"terms": self._study.terms, "prefix": self._address.prefix}
+        text = page.render({**shared, "nonce": secrets.token_urlsafe(16), **values})
         return HTMLResponse(text, status)
 
     def _to(self, token: str) -> Response:
-        return RedirectResponse(f"{self._prefix}/p/{token}", 303)
-
-
-def _new_nonce() -> str:
-    return secrets.token_urlsafe(16)
+        return RedirectResponse(f"{self._address.prefix}/p/{token}", 303)
