@@ -12,12 +12,11 @@ import pkgutil
 import sys
 from contextlib import closing, suppress
 from dataclasses import replace
-from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.people.study.address import Address, listen
-from bbq_torchrl.people.study.plan import StudyError, data_of, load_study
+from bbq_torchrl.people.study.plan import data_of, load_study
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.extras import needed
 from bbq_torchrl.utils.output import between, page
@@ -30,8 +29,6 @@ if TYPE_CHECKING:
 TALKER = "bbq_torchrl.people.study.players:make_talker"
 USERS = "bbq_torchrl.people.study.players:make_users"
 """Names, not imports: the study depends on neither networks nor language."""
-
-MAX_CONNECTIONS = 1_000
 
 
 @output.refusing
@@ -56,14 +53,12 @@ def _parser() -> argparse.ArgumentParser:
         command = commands.add_parser(name, help=meaning)
         command.set_defaults(command=run)
         if name != "power":
-            command.add_argument("study", type=_path, help="the study file; its data is next to it")
+            command.add_argument("study", type=Path, help="the study file; its data is next to it")
         if name in ("serve", "simulate"):
             talker = "module:function that makes the talker of a study; by default of run folders"
             command.add_argument("--talker", default=TALKER, help=talker)
-        if name in ("simulate", "report", "participants"):
-            command.add_argument(
-                "--out", type=_path, help="where; by default beside the study file"
-            )
+        if name in ("simulate", "report"):
+            command.add_argument("--out", type=Path, help="folder; by default next to the file")
         if name in ("simulate", "power"):
             seed = between(int, 0, 2**32 - 1)
             command.add_argument("--seed", type=seed, default=0, help="the random seed")
@@ -82,7 +77,7 @@ def _parser() -> argparse.ArgumentParser:
     add("report", _report, "write report, figures and data")
     add("participants", _participants, "write who takes part, by the ids of the join link")
     backup = add("backup", _backup, "copy the data, also while the study is served")
-    backup.add_argument("copy", type=_path, help="the copy, a file that does not exist")
+    backup.add_argument("copy", type=Path, help="the copy, a file that does not exist")
     forget = add("forget", _forget, "delete all that a person said and rated")
     forget.add_argument("participant", help="the number on your page, or the person's link")
 
@@ -99,11 +94,6 @@ def _parser() -> argparse.ArgumentParser:
     return parser
 
 
-def _path(text: str) -> Path:
-    """Returns a path with the tilde expanded; the shell keeps it in ``--out=~/report``."""
-    return Path(expanduser(text))
-
-
 def _serve(given: argparse.Namespace) -> None:
     for library in ("starlette", "jinja2", "uvicorn"):
         needed(library, library, "study")
@@ -118,10 +108,9 @@ def _serve(given: argparse.Namespace) -> None:
         from bbq_torchrl.people.study.storage import Store
         from bbq_torchrl.people.study.web import JOIN, RESEARCHER, application
 
-        prints = {agent: talker.fingerprint(agent) for agent in study.terms.agents}
         local, url = Address.local(given.host, given.port), study.terms.url
         address = Address.of(url) if url else local
-        with closing(Store(study.data, study.terms, prints)) as store, suppress(KeyboardInterrupt):
+        with closing(Store(study, talker)) as store, suppress(KeyboardInterrupt):
             _say(f"for people: {address.link(f'/join/{store.key(JOIN)}')}")
             _say(f"for you: {address.link(f'/r/{store.key(RESEARCHER)}')}")
             config = uvicorn.Config(
@@ -131,7 +120,7 @@ def _serve(given: argparse.Namespace) -> None:
                 log_level="warning",
                 server_header=False,
                 proxy_headers=False,
-                limit_concurrency=MAX_CONNECTIONS,
+                limit_concurrency=1_000,
                 # Longer than people think, so that no message arrives as its connection closes.
                 timeout_keep_alive=120,
                 timeout_graceful_shutdown=10,
@@ -146,21 +135,19 @@ def _simulate(given: argparse.Namespace) -> None:
     from bbq_torchrl.people.study.simulate import simulate
 
     # A separate name: the study's data file is for participants.
-    path = study.path
-    given.study = path.with_name(f"{path.stem}-simulated{path.suffix}")
+    given.study = given.study.with_stem(f"{given.study.stem}-simulated")
     study = replace(study, path=given.study)
     interruption.tell(lambda: "while simulating", lambda: "the same command continues it")
     simulate(study, make_talker(study), make_users(study), seed=given.seed, tell=_say)
     _report(given)
 
 
-def _function(option: str, name: str) -> Callable[..., Any]:
+def _function(option: str, name: str) -> Any:
     try:
-        found: Callable[..., Any] = pkgutil.resolve_name(name)
+        return pkgutil.resolve_name(name)
     except (ImportError, AttributeError, ValueError) as error:
-        text = f"it must be module:function that can be imported, got {shown(name)}: {error}"
-        raise StudyError(option, [text]) from error
-    return found
+        text = f"{option} must be module:function, got {shown(name)}: {error}"
+        raise ValueError(text) from error
 
 
 def _report(given: argparse.Namespace) -> None:
@@ -176,9 +163,7 @@ def _report(given: argparse.Namespace) -> None:
 def _participants(given: argparse.Namespace) -> None:
     from bbq_torchrl.people.study.export import export_participants
 
-    file = given.out or given.study.with_name(f"{given.study.stem}-participants.csv")
-    if file.suffix != ".csv":  # such as the study's data
-        raise StudyError("--out", [f"it must end with .csv, got {shown(str(file))}"])
+    file = given.study.with_name(f"{given.study.stem}-participants.csv")
     people = export_participants(file, data_of(given.study))
     _say(f"{people} people: {file}; it tells who is who in the report, so keep them apart")
 

@@ -15,8 +15,6 @@ _PATTERN = re.compile(
     re.ASCII | re.IGNORECASE,
 )
 _PORTS = {"http": 80, "https": 443}
-_PAGES = ("/join", "/p", "/r", "/static")
-"""The first parts of the paths of a study's pages."""
 
 
 @dataclass(frozen=True)
@@ -76,20 +74,10 @@ class Address:
 
 
 def _is_address(value: Any) -> bool:
-    found = _PATTERN.fullmatch(value) if isinstance(value, str) else None
-    return value == "" or (
-        found is not None
-        and 1 <= int(found[3] or 80) <= 65_535
-        and not {".", ".."} & set(found[4].split("/"))
-        and found[4] not in _PAGES
-    )
+    return isinstance(value, str) and (value == "" or bool(_PATTERN.fullmatch(value)))
 
 
-ADDRESS = Allowed(
-    "an address such as https://lab.example/study/: http or https, host, port and path (not "
-    f"{', '.join(_PAGES)}), without user, query and fragment",
-    _is_address,
-)
+ADDRESS = Allowed("an address such as https://lab.example/study/", _is_address)
 """The values of a study's ``url``."""
 
 

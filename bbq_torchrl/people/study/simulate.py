@@ -59,17 +59,11 @@ def simulate(
         StoreError: the study's data cannot be used, or comes from people or another seed.
         ValueError: an agent cannot be loaded.
     """
-    prints = {agent: talker.fingerprint(agent) for agent in study.terms.agents}
     clock = SimpleNamespace(now=0.0)  # set by hand: a replayed study has the same times
-    store = Store(
-        study.data,
-        study.terms,
-        prints,
-        simulated=True,
-        secret=f"simulated {seed}",
-        clock=lambda: clock.now,
-    )
-    with closing(store):
+    secret = f"simulated {seed}"
+    with closing(
+        Store(study, talker, simulated=True, secret=secret, clock=lambda: clock.now)
+    ) as store:
         conversations = Conversations(study, store, talker)
         wanted = study.terms.participants
         for place in range(wanted):

@@ -28,14 +28,14 @@ from bbq_torchrl.people.study.database import (
     serving,
 )
 from bbq_torchrl.people.study.latin_square import assignments
-from bbq_torchrl.people.study.plan import MAY_CHANGE, Terms
+from bbq_torchrl.people.study.plan import MAY_CHANGE
 
 if TYPE_CHECKING:
     import sqlite3
     from collections.abc import Callable, Iterator, Mapping
-    from pathlib import Path
 
-    from bbq_torchrl.people.dialogue import Reply
+    from bbq_torchrl.people.dialogue import Reply, Talker
+    from bbq_torchrl.people.study.plan import Study
 
 SILENT_SECONDS = 600.0
 """The time after which the place of a participant who has said nothing is free again."""
@@ -51,9 +51,8 @@ class Store:
     When a method returns, its changes are on the disk.
 
     Args:
-        path: the data file.
-        terms: the study's terms.
-        fingerprints: the agents' fingerprints by name.
+        study: the study.
+        talker: the agents.
         simulated: whether the participants are simulated users.
         secret: the secret of the plan and the links; drawn unless given.
         clock: returns the time, in seconds since 1970.
@@ -64,57 +63,55 @@ class Store:
 
     def __init__(
         self,
-        path: Path,
-        terms: Terms,
-        fingerprints: Mapping[str, str],
+        study: Study,
+        talker: Talker,
         *,
         simulated: bool = False,
         secret: str | None = None,
         clock: Callable[[], float] = time.time,
     ) -> None:
-        self._path, self._terms, self._clock = path, terms, clock
+        self._path, self._terms, self._clock = study.data, study.terms, clock
         self._mutex = threading.RLock()
+        prints = {agent: talker.fingerprint(agent) for agent in study.terms.agents}
+        begun = {
+            **{"terms": study.terms.text(), "fingerprints": json.dumps(prints)},
+            **{"package": bbq_torchrl.__version__, "simulated": int(simulated)},
+        }
         with ExitStack() as opened:
-            self._connection = opened.enter_context(serving(path))
+            self._connection = opened.enter_context(serving(self._path))
             with self.transaction() as connection:
-                self._secret = self._begin(connection, fingerprints, simulated, secret)
+                self._secret = self._begin(connection, begun, secret)
             self._opened = opened.pop_all()
 
     def _begin(
-        self,
-        connection: sqlite3.Connection,
-        fingerprints: Mapping[str, str],
-        simulated: bool,
-        secret: str | None,
+        self, connection: sqlite3.Connection, new: Mapping[str, Any], secret: str | None
     ) -> str:
         """Returns the study's secret; creates the study if it is new."""
-        package, terms = bbq_torchrl.__version__, self._terms.text()
-        found = connection.execute(
-            "SELECT terms, fingerprints, package, secret, simulated FROM study"
-        ).fetchone()
-        if found is None:
+        query = "SELECT secret, terms, fingerprints, package, simulated FROM study"
+        if (found := connection.execute(query).fetchone()) is None:
             secret = secret or secrets.token_urlsafe(32)
-            study = (terms, json.dumps(fingerprints), package, secret, simulated, self._clock())
-            connection.execute("INSERT INTO study VALUES (1, ?, ?, ?, ?, ?, ?)", study)
+            connection.execute(
+                "INSERT INTO study (id, terms, fingerprints, package, simulated, secret, created) "
+                "VALUES (1, ?, ?, ?, ?, ?, ?)",
+                (*new.values(), secret, self._clock()),
+            )
             return secret
-        old_terms, old_prints, old_package, old_secret, old_simulated = found
-        old_prints = json.loads(old_prints)
-        faults = _changed(json.loads(old_terms), json.loads(terms))
-        if old_package != package:
-            faults.append(f"it was begun with bbq-torchrl {old_package}, this is {package}")
-        if old_simulated != simulated:
+        old_secret, *values = found
+        old = dict(zip(new, values, strict=True))
+        faults = [
+            *_changed(old, new, "terms", "the study file says another {}"),
+            *_changed(old, new, "fingerprints", "agent {!r} has other weights"),
+        ]
+        if old["package"] != new["package"]:
+            faults.append(f"it was begun with bbq-torchrl {old['package']}")
+        if old["simulated"] != new["simulated"]:
             faults.append("it must hold either people or simulated users, not both")
         if secret not in (None, old_secret):
             faults.append("it was begun with another seed")
-        faults += [
-            f"the weights of agent {name!r} are not those the study was begun with"
-            for name, fingerprint in fingerprints.items()
-            if old_prints.get(name, fingerprint) != fingerprint
-        ]
         if faults:
             advice = "a study continues as it was begun; a changed one needs a new file name"
             raise StoreError(self._path, *(f"{fault} ({advice})" for fault in faults))
-        connection.execute("UPDATE study SET terms = ?", (terms,))
+        connection.execute("UPDATE study SET terms = ?", (new["terms"],))
         return str(old_secret)
 
     def key(self, purpose: str) -> str:
@@ -299,11 +296,12 @@ def hashed(token: str) -> str:
     return hashlib.sha256(token.encode()).hexdigest()
 
 
-def _changed(old: Mapping[str, Any], new: Mapping[str, Any]) -> list[str]:
-    """Returns the differences between terms beyond the keys that may change."""
-    # As text: the order of the agents matters too.
-    return [
-        f"the study file says another {key} than at the start"
-        for key in new
-        if key not in MAY_CHANGE and json.dumps(old.get(key)) != json.dumps(new[key])
-    ]
+def _changed(
+    old: Mapping[str, str], new: Mapping[str, str], column: str, fault: str
+) -> Iterator[str]:
+    """Yields a fault for each name of a column whose value differs and may not change."""
+    before, now = json.loads(old[column]), json.loads(new[column])
+    for name, value in now.items():
+        # As text: the order of the agents matters too.
+        if name not in MAY_CHANGE and json.dumps(before.get(name)) != json.dumps(value):
+            yield fault.format(name)

@@ -17,7 +17,7 @@ from bbq_torchrl.people.study.database import SCALES, current
 from bbq_torchrl.people.study.storage import Store
 from bbq_torchrl.people.study.web import JOIN, RESEARCHER, application
 
-from .fakes import FakeTalker, prints
+from .fakes import FakeTalker
 
 STUDY = """
 name: Tickets
@@ -80,8 +80,9 @@ def hidden(page):
 def published(study, *, domain=None, client=(), **terms):
     """A served study, whose file has some terms changed."""
     study = replace(study, terms=replace(study.terms, **terms))
-    with closing(Store(study.data, study.terms, prints(study))) as store:
-        app = application(study, store, talker := FakeTalker(domain or study.domain))
+    talker = FakeTalker(domain or study.domain)
+    with closing(Store(study, talker)) as store:
+        app = application(study, store, talker)
         with TestClient(app, raise_server_exceptions=False, **dict(client)) as browser:
             yield Site(study, browser, store, talker)
 

@@ -59,11 +59,6 @@ class FakeTalker:
         )
 
 
-def prints(study):
-    """The fingerprints of a study's agents."""
-    return {agent: f"weights of {agent}" for agent in study.terms.agents}
-
-
 def make(study):
     """The talker that --talker names."""
     return FakeTalker(study.domain)

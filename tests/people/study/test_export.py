@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import shutil
 from contextlib import closing, contextmanager
+from dataclasses import replace
 
 import pytest
 
@@ -15,7 +16,6 @@ from bbq_torchrl.people.study.outcomes import read_outcomes
 from bbq_torchrl.people.study.storage import Store
 
 from .conftest import RATED
-from .fakes import prints
 
 TEXT = "city=philly; my secret wish"
 STEPS = ("say", "end", "rate")
@@ -45,7 +45,7 @@ def test_a_backup_of_the_living_file_has_everything_where_a_plain_copy_has_not(
     with opened(tmp_path / "plain" / "study.sqlite") as connection:
         assert connection.execute("SELECT COUNT(*) FROM exchange").fetchone() < (8,)
     assert not list(tmp_path.glob("copy.sqlite-*"))  # it is one file
-    with closing(Store(copy, study.terms, prints(study))) as again:  # and a study that goes on
+    with closing(Store(replace(study, path=copy), site.talker)) as again:
         assert current(again.sessions(link.removeprefix("/p/"))).messages == 8
         assert f"/join/{again.key('join')}" == site.join
 

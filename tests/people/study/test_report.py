@@ -18,7 +18,7 @@ from bbq_torchrl.people.study.report import report, write_report
 from bbq_torchrl.people.study.storage import Store
 from bbq_torchrl.utils.statistics import participant_mean
 
-from .fakes import FakeTalker, prints
+from .fakes import FakeTalker
 from .served import free_port
 
 WON, LOST = (), ("wishes", "no ticket")
@@ -31,7 +31,7 @@ def fill(study, clock):
     def make(people, *, terms=study.terms, text="two tickets", pause=10.0, **settings):
         talker = FakeTalker(study.domain)
         terms = replace(terms, participants=max(1, len(people)))
-        store = Store(study.data, terms, prints(study), clock=clock, **settings)
+        store = Store(replace(study, terms=terms), talker, clock=clock, **settings)
         store.rows("PRAGMA synchronous = OFF")  # a test waits for no disk
         for number, ratings in enumerate(people):
             for session in store.sessions(store.enroll(f"nonce-{number:020d}")):

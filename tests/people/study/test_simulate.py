@@ -18,7 +18,7 @@ from bbq_torchrl.people.study.simulate import RATING_RULE, drawn_ratings, simula
 from bbq_torchrl.people.study.storage import Store
 
 from .conftest import STUDY
-from .fakes import FakeTalker, prints, script
+from .fakes import FakeTalker, script
 
 FILES = ("sessions.csv", "exchanges.csv", "sessions.jsonl")
 
@@ -94,7 +94,7 @@ def test_another_seed_is_another_study_and_neither_goes_on_with_the_other_or_wit
     assert played(study, tmp_path / "two", seed=2)["sessions.csv"] != one["sessions.csv"]
     with pytest.raises(StoreError, match="it was begun with another seed"):
         played(study, tmp_path / "one", seed=2)
-    Store(study.data, study.terms, prints(study)).close()
+    Store(study, FakeTalker(study.domain)).close()
     with pytest.raises(StoreError, match="either people or simulated users, not both"):
         played(study, tmp_path)
 

@@ -12,7 +12,7 @@ import pytest
 from bbq_torchrl.people.study.database import SCALES, StoreError, current, opened
 from bbq_torchrl.people.study.storage import Store
 
-from .fakes import FakeTalker, prints
+from .fakes import FakeTalker
 
 NONCES = [f"nonce-number-{number:010d}" for number in range(50)]
 
@@ -21,8 +21,9 @@ NONCES = [f"nonce-number-{number:010d}" for number in range(50)]
 def open_store(study, clock):
     opened = []
 
-    def make(terms=study.terms, *, found=None, data=study.data):
-        opened.append(Store(data, terms, found or prints(study), clock=clock))
+    def make(terms=study.terms, *, path=study.path):
+        served = replace(study, terms=terms, path=path)
+        opened.append(Store(served, FakeTalker(study.domain), clock=clock))
         return opened[-1]
 
     yield make
@@ -65,10 +66,11 @@ def test_what_is_another_study_is_refused_all_at_once_but_more_people_are_welcom
     in_another_order = dict(reversed(study.terms.agents.items()))
     terms = replace(study.terms, agents=in_another_order, max_turns=3)
     monkeypatch.setattr("bbq_torchrl.__version__", "99.0")
+    monkeypatch.setattr(FakeTalker, "fingerprint", lambda *_: "other weights")
     with pytest.raises(StoreError) as error:
-        open_store(terms, found=dict.fromkeys(prints(study), "other weights"))
+        open_store(terms)
     monkeypatch.undo()
-    about = ("agents", "max_turns", "99.0", "'secret-bbqn'", "'secret-dqn'")
+    about = ("agents", "max_turns", "'secret-dqn'", "'secret-bbqn'", "bbq-torchrl")
     for name, fault in zip(about, error.value.faults, strict=True):
         assert name in fault
     open_store(replace(study.terms, participants=50))
@@ -171,7 +173,7 @@ def test_a_file_that_is_newer_damaged_or_foreign_is_refused_and_left_as_it_is(
 def test_a_file_or_folder_that_is_not_there_is_a_sentence(open_store, study, tmp_path):
     (tmp_path / "locked.sqlite.lock").mkdir()
     with pytest.raises(OSError, match="locked"):
-        open_store(data=tmp_path / "locked.sqlite")
+        open_store(path=tmp_path / "locked.yaml")
     with pytest.raises(StoreError, match="has not been served yet"), opened(study.data):
         pass
 
