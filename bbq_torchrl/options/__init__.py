@@ -8,7 +8,7 @@ an option's ``make`` does.
 from __future__ import annotations
 
 from bbq_torchrl.options.agent import AgentOption
-from bbq_torchrl.options.env import EnvOption
+from bbq_torchrl.options.env import DomainOption, EnvOption
 from bbq_torchrl.options.explore import Exploration, ExploreOption
 from bbq_torchrl.options.intrinsic import IntrinsicOption
 from bbq_torchrl.options.logger import LoggerOption
@@ -16,7 +16,6 @@ from bbq_torchrl.options.protocol import ProtocolOption
 from bbq_torchrl.options.registry import Option, explorations, register, schemas
 from bbq_torchrl.options.root import CalibrateConfig, Config, EvaluateConfig, agreement, validate
 from bbq_torchrl.options.spike import SpikeOption
-from bbq_torchrl.options.subject import DomainOption
 from bbq_torchrl.options.task import Task
 
 __all__ = [

@@ -1,4 +1,4 @@
-"""The root schemas of training, evaluation and calibration, and what two options must agree on.
+"""The root schemas of the commands, registered with Hydra, and what two options must agree on.
 
 Options of other packages add such checks in the same way::
 
@@ -9,17 +9,16 @@ Options of other packages add such checks in the same way::
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.options.agent import BBQN, DQN, GP, AgentOption
-from bbq_torchrl.options.env import EnvOption, FullDomain
+from bbq_torchrl.options.env import DomainOption, EnvOption, FullDomain
 from bbq_torchrl.options.explore import ExploreOption  # noqa: TC001
 from bbq_torchrl.options.intrinsic import IntrinsicOption  # noqa: TC001
 from bbq_torchrl.options.logger import LoggerOption  # noqa: TC001
 from bbq_torchrl.options.protocol import ProtocolOption  # noqa: TC001
-from bbq_torchrl.options.registry import Option, explorations
+from bbq_torchrl.options.registry import Option, conf_folder, explorations, schemas
 from bbq_torchrl.options.spike import SpikeOption  # noqa: TC001
-from bbq_torchrl.options.subject import DomainOption  # noqa: TC001
 from bbq_torchrl.options.task import lists
 from bbq_torchrl.settings import (
     ANY_TEXT,
@@ -196,3 +195,39 @@ def _check_level(config: Config) -> None:
             "env.level must be act in training, got 'text': sentences are too slow for it; "
             "env.errors=measured has the errors counted in sentences"
         )
+
+
+ROOTS = {Config: "config", EvaluateConfig: "evaluate", CalibrateConfig: "calibrate"}
+"""Schema of a root -> its YAML file."""
+
+_stored: set[type] = set()
+
+
+def register_options() -> None:
+    """Registers the roots and all options with Hydra's configuration store.
+
+    ``conf/<group>/<option>.yaml`` has the keys of an option of ours with their defaults, and
+    includes its schema, which has their types; ``scripts/write_docs.py`` writes these files. An
+    option of your own needs no file.
+    """
+    from hydra.core.config_store import ConfigStore
+
+    store = ConfigStore.instance()
+    for root, name in ROOTS.items():
+        store.store(name=f"_{name}", node=root)
+    for group, known in schemas().items():
+        for name, option in known.items():
+            if option in _stored:
+                continue
+            _stored.add(option)
+            store.store(name=f"_{group}_{name}", node=option)
+            if not (conf_folder() / group / f"{name}.yaml").is_file():
+                store.store(group=group, name=name, node={"defaults": defaults(option)})
+
+
+def defaults(option: type[Option]) -> list[Any]:
+    """Returns the defaults list of an option: its schema, and an agent's default strategy."""
+    schema = f"/_{option.group}_{option.name}@_here_"
+    chosen = getattr(option, "explores_by", None)
+    own = [{"override /explore@_global_.explore": chosen}] if chosen else []
+    return [schema, *own, "_self_"]

@@ -29,7 +29,7 @@ from bbq_torchrl.options import (
     validate,
 )
 from bbq_torchrl.options.registry import conf_folder, load_folder, options_folder
-from bbq_torchrl.options.store import ROOTS, register_options
+from bbq_torchrl.options.root import ROOTS, register_options
 from bbq_torchrl.settings import ConfigError, walk
 from bbq_torchrl.utils.text import sentence
 

@@ -10,7 +10,7 @@ import torch
 from hydra.types import RunMode
 
 from bbq_torchrl.options.registry import conf_folder, load_folder
-from bbq_torchrl.options.store import register_options
+from bbq_torchrl.options.root import register_options
 from bbq_torchrl.protocols import enter_round
 from bbq_torchrl.runs.build import make_domain
 from bbq_torchrl.runs.compose import compose_raw, session

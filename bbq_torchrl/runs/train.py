@@ -23,7 +23,7 @@ from hydra.errors import CompactHydraException
 from hydra.types import RunMode
 
 from bbq_torchrl.options.registry import conf_folder
-from bbq_torchrl.options.store import register_options
+from bbq_torchrl.options.root import register_options
 from bbq_torchrl.runs.compose import quoted, take_config_dir, train_command
 from bbq_torchrl.runs.folders import config_fingerprint
 from bbq_torchrl.runs.prepare import final_config

@@ -21,7 +21,7 @@ from bbq_torchrl.exploration import (
 from bbq_torchrl.networks import BootstrapMLP, FlatMLP, GaussianProcess
 from bbq_torchrl.networks.gaussian_process import StateFeatures
 from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, DropoutDQNLoss, GPLoss
-from bbq_torchrl.options import agent, env, explore, intrinsic, spike, subject
+from bbq_torchrl.options import agent, env, explore, intrinsic, spike
 from bbq_torchrl.trainers import ReplicaAdam, Spike
 from bbq_torchrl.vime import DynamicsLoss, DynamicsModel, VIMEReward
 
@@ -37,7 +37,7 @@ PARTS = {
     intrinsic.VIME: (DynamicsModel, VIMEReward, DynamicsLoss),
     env.FullDomain: (DialogueEnv,),
     env.DomainExtension: (DialogueEnv, ExtensionSchedule),
-    subject.MiuLabDomain: (load_miulab,),
+    env.MiuLabDomain: (load_miulab,),
     spike.RuleSpike: (Spike,),
 }
 """Option -> the parts that its keys are arguments of."""
