@@ -70,11 +70,8 @@ class Conversations:
             raise RefusedError(422, "To take part, please tick the box first.")
         token = self._store.enroll(nonce, ids)
         if token is None:
-            raise RefusedError(
-                409,
-                "All places in this study are taken. Thank you for your interest; should "
-                "somebody leave, this page will let you in later.",
-            )
+            text = "All places are taken. Should somebody leave, this page will let you in later."
+            raise RefusedError(409, text)
         return token
 
     def say(self, token: str, form: Mapping[str, str]) -> None:
@@ -91,11 +88,8 @@ class Conversations:
                 raise RefusedError(409, "That conversation has ended; your message was not sent.")
             number = len(exchanges) + 1
             if form.get("turn") != str(number):
-                raise RefusedError(
-                    409,
-                    "This conversation has continued in another window. Here it is as it is now; "
-                    "your last message was not sent.",
-                )
+                text = "It has continued in another window; your last message was not sent."
+                raise RefusedError(409, text)
             try:
                 text = clean(form.get("text", ""))
             except TextError as error:
@@ -133,9 +127,7 @@ class Conversations:
             if session.rating_nonce == nonce:
                 return
             if session.is_rated:
-                raise RefusedError(
-                    409, "You have rated this conversation already; your first ratings count."
-                )
+                raise RefusedError(409, "You have rated it already; your first ratings count.")
             if not session.is_ended:
                 raise RefusedError(409, "Please end the conversation before you rate it.")
             scales = {name: _rating(name, form.get(name, "")) for name in SCALES}
@@ -171,11 +163,8 @@ def ids_of(names: Sequence[str], values: Callable[[str], Sequence[str]]) -> dict
         if len(given) == 1 and _ID.fullmatch(given[0]):
             found[name] = given[0]
         elif given or name == names[0]:
-            raise RefusedError(
-                400,
-                f"In the link to this page {name} must be one id of up to 128 letters, digits and "
-                ". : @ + = ~ _ -. Please open the study once more from where you were invited.",
-            )
+            text = f"In your link {name} must be one id of letters, digits and . : @ + = ~ _ -"
+            raise RefusedError(400, f"{text}. Please open it from where you were invited.")
     return found
 
 
@@ -192,9 +181,7 @@ def seed_of(*parts: object) -> int:
 def _nonce(form: Mapping[str, str]) -> str:
     nonce = form.get("nonce", "")
     if not _NONCE.fullmatch(nonce):
-        raise RefusedError(
-            400, "This form is incomplete: please open your link again and use the form there."
-        )
+        raise RefusedError(400, "This form is incomplete: please open your link again.")
     return nonce
 
 
@@ -204,13 +191,10 @@ def _session(sessions: Sequence[Session], form: Mapping[str, str]) -> Session:
     for session in sessions:
         if str(session.position) == given and (session.is_rated or session is now):
             return session
-    raise RefusedError(
-        400, "This form is of no conversation of yours: please open your link again."
-    )
+    raise RefusedError(400, "This form is of another conversation: please open your link again.")
 
 
 def _rating(name: str, given: str) -> int:
     if given not in ("1", "2", "3", "4", "5"):
-        shown = given[:20] or "nothing"
-        raise RefusedError(422, f"Please rate {name} by a whole number from 1 to 5, got {shown}.")
+        raise RefusedError(422, f"Please rate {name} by a whole number from 1 to 5.")
     return int(given)

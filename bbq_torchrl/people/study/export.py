@@ -22,7 +22,7 @@ from bbq_torchrl.people.study.storage import hashed
 from bbq_torchrl.utils.files import write_text
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
     from pathlib import Path
 
     from bbq_torchrl.people.study.outcomes import Outcome, Outcomes
@@ -135,16 +135,11 @@ def defused(cell: Any) -> Any:
     return f"'{cell}" if is_formula else cell
 
 
-def _write_csv(file: Path, rows: Iterable[Mapping[str, Any]]) -> None:
+def _write_csv(file: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Writes rows of the same keys, which head the columns."""
     text = io.StringIO()
-    text.write("\ufeff")
-    writer = csv.writer(text)
-    for number, row in enumerate(rows):
-        if number == 0:
-            writer.writerow(row)
-        writer.writerow(map(defused, row.values()))
-    write_text(file, text.getvalue())
+    csv.writer(text).writerows([*rows[:1], *(map(defused, row.values()) for row in rows)])
+    write_text(file, f"\ufeff{text.getvalue()}")
 
 
 _PARTICIPANTS = f"""

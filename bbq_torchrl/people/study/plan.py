@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains import load_domain, movie_domain
-from bbq_torchrl.people.dialogue import RULES
 from bbq_torchrl.people.dialogue.judge import Judge
 from bbq_torchrl.people.study.address import ADDRESS
 from bbq_torchrl.settings import (
@@ -48,12 +47,7 @@ class StudyError(FaultsError):
 
 
 def _is_pair(value: Any) -> bool:
-    is_list = isinstance(value, list) and len(value) == 2
-    return is_list and all(map(WORDS.test, value)) and value[0] != value[1]
-
-
-def _is_list(test: Callable[[list[Any]], bool]) -> Callable[[Any], bool]:
-    return lambda value: isinstance(value, list) and test(value)
+    return isinstance(value, list) and all(map(WORDS.test, value)) and len(set(value)) == 2
 
 
 def _by_agent(text: str, test: Callable[[Any], bool]) -> Allowed:
@@ -72,22 +66,16 @@ _AGENTS = Allowed(
     ),
 )
 _PAIRS = Allowed(
-    f"a list of pairs of two different agents, {_QUOTED}, each pair once, [] for none",
-    _is_list(
-        lambda value: all(map(_is_pair, value)) and len(set(map(frozenset, value))) == len(value)
-    ),
+    f"a list of pairs of two different agents, {_QUOTED}, [] for none",
+    lambda value: isinstance(value, list) and all(map(_is_pair, value)),
 )
 _NUMBERS = Allowed(
     "a list of goal numbers, from 1",
-    _is_list(lambda value: all(map(integers(1).test, value))),
+    lambda value: isinstance(value, list) and all(map(integers(1).test, value)),
 )
 _LINK = Allowed(
     "a link that begins with https://",
     lambda value: value == "" or (isinstance(value, str) and value.startswith("https://")),
-)
-_RULES = _by_agent(
-    f"lists of {', '.join(RULES)}",
-    _is_list(lambda value: all(name in RULES for name in value)),
 )
 
 
@@ -128,7 +116,9 @@ class Terms:
         "name to the confidence below which this agent asks again",
     )
     control: Mapping[str, Sequence[str]] = setting(
-        {}, _RULES, "name to this agent's rules of the dialogue control; all rules for others"
+        {},
+        _by_agent("lists of rules", TEXTS.test),
+        "name to this agent's rules of the dialogue control; all rules for others",
     )
 
     def text(self) -> str:
@@ -177,7 +167,7 @@ def load_study(path: str | Path) -> Study:
     except ValueError as error:
         raise StudyError(str(file), [f"it cannot be read: {error}"]) from error
     if not isinstance(content, dict):
-        raise StudyError(str(file), [f"it must be a mapping of keys, got {shown(content)}"])
+        raise StudyError(str(file), ["it must be a mapping of keys"])
     if found := faults(Terms, content):
         raise StudyError(str(file), list(found.values()))
     terms = Terms(**content)

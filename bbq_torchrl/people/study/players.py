@@ -69,18 +69,15 @@ class AgentTalker:
         self._partners: dict[str, Partner] = {}
         faults = []
         for name, source in study.terms.agents.items():
+            below, rules = study.terms.ask_below.get(name), study.terms.control.get(name)
             try:
                 agent = TrainedAgent(run_folder(source, study.path.parent))
+                if agent.domain != study.domain:
+                    raise ValueError(f"its domain {agent.domain.name} is not the study's")
+                partner = Partner(agent, nlu, nlg, spelling, ask_below=below, rules=rules)
+                self._partners[name] = partner
             except (ValueError, OSError) as error:
                 faults.append(f"the agent {name} cannot be loaded: {error}")
-                continue
-            if agent.domain != study.domain:
-                faults.append(
-                    f"the agent {name} of {source} is of the domain {agent.domain.name}, which is "
-                    f"not the study's, {study.domain.name}"
-                )
-            below, rules = study.terms.ask_below.get(name), study.terms.control.get(name)
-            self._partners[name] = Partner(agent, nlu, nlg, spelling, ask_below=below, rules=rules)
         if faults:
             raise StudyError(str(study.path), faults)
 

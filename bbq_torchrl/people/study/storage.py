@@ -126,15 +126,9 @@ class Store:
         Raises:
             StoreError: it could not be written.
         """
-        with self._mutex, as_store_errors(self._path):
+        with self._mutex, as_store_errors(self._path), self._connection:  # which commits
             self._connection.execute("BEGIN IMMEDIATE")
-            try:
-                yield self._connection
-                self._connection.execute("COMMIT")
-            except BaseException:
-                if self._connection.in_transaction:
-                    self._connection.execute("ROLLBACK")
-                raise
+            yield self._connection
 
     def rows(self, query: str, *values: object) -> list[tuple[Any, ...]]:
         """Returns the rows of a query."""

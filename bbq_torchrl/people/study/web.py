@@ -40,13 +40,6 @@ if TYPE_CHECKING:
 JOIN, RESEARCHER = "join", "researcher"
 """The purposes of the keys in the two links that :meth:`Store.key` makes."""
 
-QUESTIONS = {  # of SCALES
-    "overall": "Overall, how well did the assistant do?",
-    "naturalness": "How natural was what it said?",
-    "coherence": "How well did its answers fit what had been said?",
-    "completion": "How well did it complete your task?",
-}
-
 _TEMPLATES = Environment(
     loader=PackageLoader("bbq_torchrl.people.study"),
     autoescape=True,
@@ -238,7 +231,6 @@ class _Pages:
             # A refused text is kept, unless it is from an earlier conversation.
             given=form if form.get("session") == str(session.position) else {},
             max_text=MAX_CHARACTERS,
-            questions=QUESTIONS,
         )
 
     # -- the researcher ----------------------------------------------------------------------------
