@@ -19,13 +19,13 @@ if TYPE_CHECKING:
 
 
 class Movable:
-    """An object whose tensors are its attributes."""
+    """An object whose tensors are its attributes, or attributes of movable ones."""
 
     def to(self, device: torch.device | str) -> Self:
         """Returns a copy with every tensor on ``device``."""
         moved = copy(self)
         for name, value in vars(self).items():
-            if isinstance(value, torch.Tensor):
+            if hasattr(value, "to"):
                 vars(moved)[name] = value.to(device)
         return moved
 

@@ -74,15 +74,10 @@ _BYTE_BITS = 8
 _TOP_BYTE = WORD_BITS - _BYTE_BITS
 
 
-def _signed(word: int) -> int:
-    """Returns the int64 number with the 64 bits of ``word``."""
-    return word - (1 << WORD_BITS) if word >> (WORD_BITS - 1) else word
-
-
-_PAIRS = _signed(0x5555555555555555)
-_QUADS = _signed(0x3333333333333333)
-_BYTES = _signed(0x0F0F0F0F0F0F0F0F)
-_ONES = _signed(0x0101010101010101)
+_PAIRS = 0x5555555555555555
+_QUADS = 0x3333333333333333
+_BYTES = 0x0F0F0F0F0F0F0F0F
+_ONES = 0x0101010101010101
 
 
 def pack(members: torch.Tensor) -> torch.Tensor:

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import torch
 
+from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import NONE
 from bbq_torchrl.settings import REWARD, check
 from bbq_torchrl.simulator.choices import one_hot, rows
@@ -24,20 +25,6 @@ TURN_SCALE = 10.0  # acts; keeps the turn feature near the size of the flags
 COUNT_SCALE = 100.0  # records
 
 
-class FeatureGroup(NamedTuple):
-    """Consecutive features of one kind.
-
-    Args:
-        name: the group's name.
-        members: the act, slot or number of each feature.
-        meaning: a description of the features.
-    """
-
-    name: str
-    members: tuple[str, ...]
-    meaning: str
-
-
 class FeatureLayout:
     """The positions and names of the features.
 
@@ -45,11 +32,28 @@ class FeatureLayout:
     ``T``. The order is that of Li et al. (2016), the list and the total of 268 those of Lipton et
     al. (2018).
 
+    ===================  =======================================================================
+    group                the features are
+    ===================  =======================================================================
+    ``user_act``         the act heard from the user
+    ``user_informed``    the slots that the user informed in its last act
+    ``user_requested``   the slots that the user is heard to request
+    ``agent_act``        the agent's last act; all 0 in the first state
+    ``agent_informed``   the slots that the agent's last act informed
+    ``agent_requested``  the slot that the agent's last act requested
+    ``filled``           the slots for which the tracker holds a value
+    ``turn``             acts of both sides so far, divided by 10
+    ``turn_onehot``      acts so far as one-hot, clamped to the last feature
+    ``kb_match``         whether the kb_count of the same name is above 0
+    ``kb_count``         number of records / 100: with the slot's value if it is filled, else
+                         with all values held
+    ===================  =======================================================================
+
     Args:
         domain: the domain's tensors.
 
     Attributes:
-        groups: the groups of features, in order.
+        groups: the act, slot or number of each feature by group, in order.
         size: the number of features.
         names: the name of each feature, ``"group:member"``.
 
@@ -69,49 +73,32 @@ class FeatureLayout:
     def __init__(self, domain: DomainTensors) -> None:
         acts, slots = tuple(domain.act), tuple(domain.slot)
         self._slots = slots
-        self.groups = (
-            FeatureGroup("user_act", acts, "the act heard from the user"),
-            FeatureGroup(
-                "user_informed", slots, "the slots that the user informed in its last act"
-            ),
-            FeatureGroup("user_requested", slots, "the slots that the user is heard to request"),
-            FeatureGroup("agent_act", acts, "the agent's last act; all 0 in the first state"),
-            FeatureGroup("agent_informed", slots, "the slots that the agent's last act informed"),
-            FeatureGroup("agent_requested", slots, "the slot that the agent's last act requested"),
-            FeatureGroup("filled", slots, "the slots for which the tracker holds a value"),
-            FeatureGroup("turn", ("scaled",), "acts of both sides so far, divided by 10"),
-            FeatureGroup(
-                "turn_onehot",
-                tuple(str(count) for count in range(domain.turn_width)),
-                "acts so far as one-hot, clamped to the last feature",
-            ),
-            FeatureGroup(
-                "kb_match", (*slots, "all"), "whether the kb_count of the same name is above 0"
-            ),
-            FeatureGroup(
-                "kb_count",
-                (*slots, "all"),
-                "number of records / 100: for a filled slot those with its value; "
-                "for any other slot and 'all' those that match all values the tracker holds",
-            ),
-        )
-        self._slices: dict[str, slice] = {}
-        start = 0
-        for group in self.groups:
-            self._slices[group.name] = slice(start, start + len(group.members))
-            start += len(group.members)
-        self.size = start
+        self.groups = {
+            "user_act": acts,
+            "user_informed": slots,
+            "user_requested": slots,
+            "agent_act": acts,
+            "agent_informed": slots,
+            "agent_requested": slots,
+            "filled": slots,
+            "turn": ("scaled",),
+            "turn_onehot": tuple(map(str, range(domain.turn_width))),
+            "kb_match": (*slots, "all"),
+            "kb_count": (*slots, "all"),
+        }
         self.names = tuple(
-            f"{group.name}:{member}" for group in self.groups for member in group.members
+            f"{group}:{member}" for group, members in self.groups.items() for member in members
         )
+        self.size = len(self.names)
         self._columns = {name: index for index, name in enumerate(self.names)}
 
     def __getitem__(self, name: str) -> slice:
         """Returns the slice of a group's features."""
-        return self._slices[name]
+        first = self.column(name, self.groups[name][0])
+        return slice(first, first + len(self.groups[name]))
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._slices)
+        return iter(self.groups)
 
     def active(self, slots: torch.Tensor) -> torch.Tensor:
         """Returns the features that can differ from 0, bool ``[F]``: all but inactive slots'.
@@ -120,9 +107,9 @@ class FeatureLayout:
             slots: the active slots, bool ``[S]``.
         """
         features = slots.new_ones(self.size)
-        for group in self.groups:
-            if group.members[: len(slots)] == self._slots:
-                first = self[group.name].start
+        for group, members in self.groups.items():
+            if members[: len(slots)] == self._slots:
+                first = self[group].start
                 features[first : first + len(slots)] = slots
         return features
 
@@ -135,7 +122,7 @@ class FeatureLayout:
         return self._columns[f"{group}:{member}"]
 
 
-class Features:
+class Features(Movable):
     """The function from states to features.
 
     Args:

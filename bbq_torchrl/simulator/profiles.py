@@ -20,15 +20,13 @@ from bbq_torchrl.settings import (
     check,
     check_values,
     filled,
+    one_of,
     optional,
     setting,
 )
 from bbq_torchrl.simulator.choices import index_below, rows
-from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
-    from collections.abc import Collection
-
     from tensordict import TensorDictBase
 
     from bbq_torchrl.domains import DomainTensors
@@ -152,33 +150,17 @@ def profiles_of(users: Users) -> tuple[Profile, ...]:
     if isinstance(users, str):
         return MIXES[users]
     kinds = [users] if isinstance(users, Mapping) else users
-    made = tuple(_profile(f"users[{number}]", kind) for number, kind in enumerate(kinds))
+    made = tuple(
+        kind
+        if isinstance(kind, Profile)
+        else filled(Profile, check(f"users[{number}]", kind, _KEYS), f"users[{number}].")
+        for number, kind in enumerate(kinds)
+    )
     total = sum(kind.share for kind in made)
     if made and not math.isclose(total, 1.0, abs_tol=1e-6):
         raise ValueError(f"users must have shares that add up to 1, got {total:g}")
     is_plain = all(kind == Profile(kind.share) for kind in made)
     return () if is_plain else made
-
-
-def _profile(name: str, keys: Mapping[str, Any] | Profile) -> Profile:
-    if isinstance(keys, Profile):
-        return keys
-    return filled(Profile, check(name, keys, _KEYS), f"{name}.")
-
-
-def check_slots(profiles: Sequence[Profile], slots: Collection[str]) -> None:
-    """Refuses error rates of slots that a domain lacks.
-
-    Raises:
-        ValueError: one sentence about the first of them.
-    """
-    for number, kind in enumerate(profiles):
-        for slot in kind.slot_error_prob:
-            if slot not in slots:
-                raise ValueError(
-                    f"users[{number}].slot_error_prob must have slots of the domain "
-                    f"({', '.join(slots)}), got {shown(slot)}"
-                )
 
 
 class Mix(Movable):
@@ -201,7 +183,10 @@ class Mix(Movable):
     draws = ("profile", "patience", "bears", "tells", "changes_at", *HABITS)
 
     def __init__(self, domain: DomainTensors, profiles: Sequence[Profile]) -> None:
-        check_slots(profiles, domain.slot)
+        allowed = one_of(*domain.slot)
+        for number, kind in enumerate(profiles):
+            for slot in kind.slot_error_prob:
+                check(f"a slot of users[{number}].slot_error_prob", slot, allowed)
         shares = torch.tensor([float(kind.share) for kind in profiles])
         self._below = shares.cumsum(0)[:-1]
         # A user without a limit stays longer than any dialogue, and tells 0 means the paper's rule.

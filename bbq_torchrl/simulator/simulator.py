@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from copy import copy
 from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import TensorDict
 
+from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import NO_MATCH, NONE
+from bbq_torchrl.settings import check, integers
 from bbq_torchrl.simulator.error_model import ErrorModel
 from bbq_torchrl.simulator.features import Features, Rewards
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
@@ -30,7 +31,7 @@ if TYPE_CHECKING:
 _ACTS_PER_TURN = 2
 
 
-class Simulator:
+class Simulator(Movable):
     """Dialogues between an agent and agenda-based users, as pure functions on a state.
 
     The state of a batch ``[*B]`` of dialogues is a TensorDict:
@@ -94,12 +95,8 @@ class Simulator:
         max_turn: int = 40,
         users: Users = "paper",
     ) -> None:
-        if max_turn % 1 or max_turn < _ACTS_PER_TURN:
-            raise ValueError(
-                f"max_turn must be a whole number of at least {_ACTS_PER_TURN}, got {max_turn!r}"
-            )
         self.rewards = Rewards() if rewards is None else rewards
-        self.max_turn = max_turn
+        self.max_turn = check("max_turn", max_turn, integers(_ACTS_PER_TURN))
         device, on_cpu = domain.records.device, domain.to("cpu")
         knowledge_base = KnowledgeBase(on_cpu).to(device)
         errors = ErrorModel(domain) if errors is None else errors
@@ -107,15 +104,6 @@ class Simulator:
         mix = Mix(on_cpu, profiles).to(device) if profiles else None
         if mix is not None and mix.has_rates and not isinstance(errors, ErrorModel):
             raise ValueError("users with slot_error_prob need a channel that is an ErrorModel")
-        self._build(domain, knowledge_base, errors, mix)
-
-    def _build(
-        self,
-        domain: DomainTensors,
-        knowledge_base: KnowledgeBase,
-        errors: Channel,
-        mix: Mix | None,
-    ) -> None:
         self.domain = domain
         self.knowledge_base = knowledge_base
         self.errors = errors
@@ -124,15 +112,6 @@ class Simulator:
         self.tracker = Tracker(domain, knowledge_base)
         self.features = Features(domain, knowledge_base)
         self._is_ticket = torch.arange(domain.n_slots, device=self.device) == domain.ticket
-
-    def to(self, device: torch.device | str) -> Simulator:
-        """Returns a copy with every tensor on ``device``."""
-        moved = copy(self)
-        mix = None if self.mix is None else self.mix.to(device)
-        moved._build(
-            self.domain.to(device), self.knowledge_base.to(device), self.errors.to(device), mix
-        )
-        return moved
 
     @property
     def device(self) -> torch.device:

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, NONE
 from bbq_torchrl.simulator.choices import index_below, one_hot, rows
 
@@ -89,7 +90,7 @@ class Utterance:
     error_prob: torch.Tensor | None = None
 
 
-class Tracker:
+class Tracker(Movable):
     """A tracker that completes the agent's de-lexicalized actions from the knowledge base.
 
     Args:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import DONT_CARE, NO_MATCH, NONE
 from bbq_torchrl.simulator.choices import index_below, pick_slot, rows
 
@@ -17,7 +18,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.simulator.tracker import AgentTurn
 
 
-class User:
+class User(Movable):
     """The agenda-based user of Li et al. (2016), for a batch of dialogues.
 
     It stores only the domain's tables; the users themselves are in the state. It returns entries of

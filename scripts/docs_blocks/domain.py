@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 from bbq_torchrl.domains import movie_domain, tensorize
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
 from bbq_torchrl.evaluation.rollouts import transcripts
@@ -23,11 +25,12 @@ def _actions() -> str:
 @block("features")
 def _features() -> str:
     layout = FeatureLayout(tensorize(movie_domain()))
+    described = re.findall(r"^ *``(\w+)`` +(.+(?:\n {20,}.+)?)", FeatureLayout.__doc__ or "", re.M)
     rows = []
-    for group in layout.groups:
-        place = layout[group.name]
+    for group, meaning in described:
+        place = layout[group]
         index = "–".join(dict.fromkeys((f"{place.start}", f"{place.stop - 1}")))
-        rows.append((code(group.name), index, len(group.members), group.meaning))
+        rows.append((code(group), index, len(layout.groups[group]), " ".join(meaning.split())))
     return table(("group", "index", "count", "the features are"), rows)
 
 

@@ -19,7 +19,7 @@ def test_the_layout_of_the_movies_has_the_papers_268_features(layout):
     widths |= {"turn": 1, "turn_onehot": 40, "kb_match": 30, "kb_count": 30}
     assert {name: layout[name].stop - layout[name].start for name in layout} == widths
     assert layout.size == len({*layout.names}) == 268
-    members = [(group.name, member) for group in layout.groups for member in group.members]
+    members = [(group, member) for group, names in layout.groups.items() for member in names]
     assert [layout.column(*member) for member in members] == list(range(268))
     assert layout.names == tuple(":".join(member) for member in members)
 

@@ -8,7 +8,7 @@ from bbq_torchrl.domains import tensorize
 from bbq_torchrl.settings import USERS
 from bbq_torchrl.simulator import Simulator
 from bbq_torchrl.simulator.measured_errors import load_errors
-from bbq_torchrl.simulator.profiles import HABITS, MIXES, check_slots, profiles_of
+from bbq_torchrl.simulator.profiles import HABITS, MIXES, Mix, profiles_of
 
 
 def test_the_mixes_have_the_names_that_are_allowed():
@@ -47,7 +47,7 @@ def test_invalid_users_are_refused(users, message):
 def test_error_rates_need_a_slot_of_the_domain_and_an_error_model(movie):
     users = profiles_of({"slot_error_prob": {"daet": 0.1}})
     with pytest.raises(ValueError, match=r"users\[0\]\.slot_error_prob .*'daet'"):
-        check_slots(users, movie.slots)
+        Mix(tensorize(movie), users)
     with pytest.raises(ValueError, match="slot_error_prob"):
         Simulator(
             tensorize(movie),
