@@ -19,11 +19,18 @@ from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import yaml
-
-from bbq_torchrl.domains.domain import ACTION_KINDS, Action, Domain, Goal, ScriptedPolicySpec
-from bbq_torchrl.domains.faults import DomainError, Fault, Source, sentences
-from bbq_torchrl.domains.values import DIFFERENCE, RESERVED_TEXT, misspellings, plain
+from bbq_torchrl.domains.domain import (
+    ACTION_KINDS,
+    Action,
+    Domain,
+    DomainError,
+    Fault,
+    Goal,
+    ScriptedPolicySpec,
+    Source,
+    sentences,
+)
+from bbq_torchrl.domains.values import DIFFERENCE, misspellings, unlisted
 from bbq_torchrl.settings import (
     MAPPING,
     REQUIRED,
@@ -39,7 +46,7 @@ from bbq_torchrl.utils.files import read_yaml
 from bbq_torchrl.utils.text import FaultsError, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     _Tell = Callable[..., None]
 
@@ -56,6 +63,7 @@ MOVIE_FOLDER = SHIPPED["movie"]
 Corpus = dict[str, dict[Any, Any]]
 """The fields ``records``, ``goals`` and ``error_values``, each entry by its line, row or slot."""
 
+_IN_NO_FILE = f"a value that is neither in {VALUES_FILE} nor in {RECORDS_FILE}"
 _ANY = Allowed("anything", lambda value: True)  # Domain checks it
 _OPENING = Allowed(
     "a slot, a list of slots or null",
@@ -145,7 +153,21 @@ def load_domain(path: str | Path) -> Domain:
     specification, *data = contents
     corpus: Corpus = dict(zip(("records", "goals", "error_values"), data, strict=True))
     content = content_of(corpus)
-    found = [*_unknown_values(specification["slots"], **content), *_misspelled(content)]
+    found = [
+        *(
+            Fault("goals", f"it wants {slot} = {shown(value)}, {_IN_NO_FILE}", number)
+            for number, slot, value in unlisted(**content)
+            if slot in specification["slots"]
+        ),
+        *(
+            Fault(
+                item.field,
+                f"it has {item}: they differ {DIFFERENCE}, so write both alike",
+                item.entry,
+            )
+            for item in misspellings(**content)
+        ),
+    ]
     try:
         domain = Domain(**specification, **content, folder=folder)
     except DomainError as error:
@@ -209,6 +231,11 @@ def _specification(text: str, tell: _Tell) -> dict[str, Any]:
         for fault in found.values():
             tell(fault)
         return {}
+    return fields_of(content)
+
+
+def fields_of(content: Mapping[str, Any]) -> dict[str, Any]:
+    """Returns the fields of a domain, but those of a corpus, that ``domain.yaml`` describes."""
     acts = [Action(act) for act in content["actions"]["act"]]
     for kind in ACTION_KINDS[1:]:
         acts += [Action(kind, slot) for slot in content["actions"].get(kind, [])]
@@ -221,27 +248,6 @@ def _specification(text: str, tell: _Tell) -> dict[str, Any]:
             for name, policy in content["policies"].items()
         },
     }
-
-
-def specification_text(specification: Mapping[str, Any]) -> str:
-    """Returns the text of ``domain.yaml`` with these fields of a domain."""
-    actions: dict[str, list[str]] = {kind: [] for kind in ACTION_KINDS}
-    for action in specification["actions"]:
-        actions[action.kind].append(action.slot or action.act)
-    policies = {
-        name: {"kind": policy.kind, "steps": list(policy.steps)}
-        for name, policy in specification["policies"].items()
-    }
-    plain = {
-        key: list(item) if isinstance(item, tuple) else item for key, item in specification.items()
-    }
-    return yaml.safe_dump(
-        plain | {"actions": actions, "policies": policies},
-        sort_keys=False,
-        width=100,
-        allow_unicode=True,
-        default_flow_style=None,
-    )
 
 
 def _records(text: str, tell: _Tell) -> dict[int, dict[str, str]]:
@@ -334,32 +340,3 @@ def save_data(
         (VALUES_FILE, dump(values, indent=1) + "\n"),
     ):
         Path(folder, name).write_text(text, encoding="utf-8", newline="\n")
-
-
-def _misspelled(content: Mapping[str, Any]) -> Iterator[Fault]:
-    """Finds values that look like another one of their slot but do not match it."""
-    for item in misspellings(**content):
-        text = f"it has {item}: they differ {DIFFERENCE}, so write both alike"
-        yield Fault(item.field, text, item.entry)
-
-
-def _unknown_values(
-    slots: Sequence[str],
-    records: Sequence[Mapping[str, str]],
-    goals: Sequence[Goal],
-    error_values: Mapping[str, Sequence[str]],
-) -> Iterator[Fault]:
-    """Finds goals that constrain a slot to a value that no list and no record has.
-
-    In a hand-written corpus such a value is a typing error. Values that differ only in spelling are
-    reported as misspellings instead.
-    """
-    # Reserved values are either refused elsewhere or have a meaning.
-    known = {(slot, plain(text)) for slot in slots for text in RESERVED_TEXT.values()}
-    known |= {(slot, plain(text)) for slot, texts in error_values.items() for text in texts}
-    known |= {(slot, plain(text)) for record in records for slot, text in record.items()}
-    for number, goal in enumerate(goals):
-        for slot, value in goal.constraints.items():
-            if slot in slots and isinstance(value, str) and (slot, plain(value)) not in known:
-                files = f"a value that is neither in {VALUES_FILE} nor in {RECORDS_FILE}"
-                yield Fault("goals", f"it wants {slot} = {shown(value)}, {files}", number)

@@ -15,6 +15,7 @@ from bbq_torchrl.domains.values import (
     fold,
     value_ids,
 )
+from bbq_torchrl.settings import check, one_of
 from bbq_torchrl.utils.text import shown
 
 if TYPE_CHECKING:
@@ -109,16 +110,10 @@ class Frame:
                 else:
                     requests.append(slot)
         if domain is not None:
-            _check(act, (*informs, *requests), domain)
+            check("the act", act, one_of(*domain.acts))
+            for slot in (*informs, *requests):
+                check("a slot", slot, one_of(*domain.slots))
         return cls(act, informs, tuple(requests), tuple(choices))
-
-
-def _check(act: str, slots: tuple[str, ...], domain: Domain) -> None:
-    if act not in domain.acts:
-        raise ValueError(f"the act must be one of {', '.join(domain.acts)}, got {shown(act)}")
-    for slot in slots:
-        if slot not in domain.slots:
-            raise ValueError(f"a slot must be one of {', '.join(domain.slots)}, got {shown(slot)}")
 
 
 _USER_ACTS = ("request", "inform", "deny", "thanks", "closing")

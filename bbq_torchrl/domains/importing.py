@@ -11,18 +11,20 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.domains.domain import Action, Domain, Goal, ScriptedPolicySpec
+import yaml
+
+from bbq_torchrl.domains.domain import Domain, Goal
 from bbq_torchrl.domains.folder import (
     SPECIFICATION_FILE,
     VALUES_FILE,
     content_of,
+    fields_of,
     load_domain,
     read_text,
     save_data,
-    specification_text,
 )
 from bbq_torchrl.domains.miulab import fitted, read_corpus
-from bbq_torchrl.domains.values import RESERVED_TEXT, fold, misspellings
+from bbq_torchrl.domains.values import misspellings, plain, unlisted
 from bbq_torchrl.utils import output
 
 if TYPE_CHECKING:
@@ -153,24 +155,31 @@ def import_corpus(
     corpus, changes = _cleaned(read_corpus(data, ticket), {*special, *without})
     specification = {
         "name": name or folder.resolve().name,
-        "acts": acts,
-        "slots": slots,
+        "acts": list(acts),
+        "slots": list(slots),
         **_agent(corpus, acts, slots, special, core),
-        "free_slots": (*(slot for slot in free if slot not in special), *special),
+        "free_slots": [*(slot for slot in free if slot not in special), *special],
         "ticket_slot": ticket,
         "complete_slot": complete,
-        "opening_slot": tuple(opening) or None,
+        "opening_slot": list(opening) or None,
         "turn_width": _TURN_WIDTH,
         "reference_slot_error_prob": 0.0,
     }
-    domain = fitted(partial(Domain, **specification), slots, corpus, data, skip_unusable=True)
+    domain = fitted(
+        partial(Domain, **fields_of(specification)), slots, corpus, data, skip_unusable=True
+    )
     changes += [f"left out: {text}" for text in domain.skipped]
     lists = {slot: [*texts] for slot, texts in domain.error_values.items()}
-    for slot, texts in _only_in_goals(domain).items():
-        lists.setdefault(slot, []).extend(texts)
+    added: dict[str, dict[str, str]] = {}
+    for _, slot, value in unlisted(domain.records, domain.goals, domain.error_values):
+        added.setdefault(slot, {}).setdefault(plain(value), value)
+    for slot, texts in added.items():
+        lists.setdefault(slot, []).extend(texts.values())
         changes.append(f"{VALUES_FILE}: {len(texts)} values of {slot} are added from goals")
     folder.mkdir(parents=True, exist_ok=True)
-    text = specification_text(specification)
+    text = yaml.safe_dump(
+        specification, sort_keys=False, width=100, allow_unicode=True, default_flow_style=None
+    )
     (folder / SPECIFICATION_FILE).write_text(text, encoding="utf-8", newline="\n")
     columns = [slot for slot in slots if any(slot in record for record in domain.records)]
     save_data(folder, columns, domain.records, domain.goals, lists)
@@ -227,20 +236,6 @@ def _cleaned(corpus: Corpus, out: set[str]) -> tuple[Corpus, list[str]]:
     ]
 
 
-def _only_in_goals(domain: Domain) -> dict[str, list[str]]:
-    """Returns, for each slot, the values that occur only in goals, not in lists or records."""
-    known = {(slot, fold(text)) for slot, texts in domain.error_values.items() for text in texts}
-    known |= {(slot, fold(text)) for record in domain.records for slot, text in record.items()}
-    known |= {(slot, fold(text)) for slot in domain.slots for text in RESERVED_TEXT.values()}
-    found: dict[str, list[str]] = {}
-    for goal in domain.goals:
-        for slot, text in goal.constraints.items():
-            if (slot, fold(text)) not in known:
-                known.add((slot, fold(text)))
-                found.setdefault(slot, []).append(text)
-    return found
-
-
 def _agent(
     corpus: Corpus,
     acts: Sequence[str],
@@ -248,7 +243,7 @@ def _agent(
     special: tuple[str, str],
     essential: tuple[str, ...],
 ) -> dict[str, Any]:
-    """Returns the fields about the agent: actions, order of slots and policies."""
+    """Returns the keys of ``domain.yaml`` about the agent: actions, order of slots, policies."""
     ticket, complete = special
     goals = corpus["goals"].values()
     wanted = Counter(slot for goal in goals for slot in (*goal.constraints, *goal.requests))
@@ -260,20 +255,19 @@ def _agent(
     )
     known = (*essential, *order)
     requests = [slot for slot in known if wanted[slot] or slot in essential]
-    informs = [slot for slot in known if slot in found]
-    offer = (f"inform({complete})", "thanks")
-    rule = (*(f"request({slot})" for slot in essential), *offer)
+    rule = [*(f"request({slot})" for slot in essential), f"inform({complete})", "thanks"]
     return {
-        "actions": (
-            *(Action(act) for act in _SLOTLESS if act in acts),
-            *(Action("request", slot) for slot in requests),
-            *(Action("inform", slot) for slot in (*informs, complete, ticket)),
-        ),
-        "essential": (*essential, *special),
-        "extension_order": tuple(slot for slot in order if slot in {*requests, *informs}),
+        "actions": {
+            "act": [act for act in _SLOTLESS if act in acts],
+            "request": requests,
+            "inform": [*(slot for slot in known if slot in found), complete, ticket],
+            "multiple_choice": [],
+        },
+        "essential": [*essential, *special],
+        "extension_order": [slot for slot in order if slot in {*requests, *found}],
         "policies": {
-            "rule": ScriptedPolicySpec("script", rule),
-            "careful_essential": ScriptedPolicySpec("careful", essential),
-            "careful": ScriptedPolicySpec("careful", tuple(requests)),
+            "rule": {"kind": "script", "steps": rule},
+            "careful_essential": {"kind": "careful", "steps": list(essential)},
+            "careful": {"kind": "careful", "steps": list(requests)},
         },
     }

@@ -14,8 +14,7 @@ from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from bbq_torchrl.domains.domain import Goal
-from bbq_torchrl.domains.faults import DomainError, Fault, Source, sentences
+from bbq_torchrl.domains.domain import DomainError, Fault, Goal, Source, sentences
 from bbq_torchrl.domains.folder import content_of, shipped_domain
 from bbq_torchrl.domains.values import DIFFERENCE, misspellings
 from bbq_torchrl.settings import (
@@ -248,11 +247,8 @@ def read_plain_pickle(path: str | Path) -> Any:
     try:
         content = _PlainUnpickler(stream, encoding="utf-8").load()
     except Exception as error:  # a damaged pickle raises nearly anything, from KeyError to EOFError
-        is_memory = isinstance(error, MemoryError)
-        reason = "it asks for more memory than the machine has" if is_memory else sentence(error)
-        raise ValueError(
-            f"{path} is not a pickle of plain data: {reason or type(error).__name__}"
-        ) from error
+        reason = sentence(error) or type(error).__name__
+        raise ValueError(f"{path} is not a pickle of plain data: {reason}") from error
     if rest := len(stream.getbuffer()) - stream.tell():
         raise ValueError(f"{path} is not a pickle of plain data: {rest} bytes follow its end")
     return content

@@ -13,7 +13,7 @@ from functools import lru_cache
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
 
 NONE = 0
@@ -152,3 +152,27 @@ def misspellings(
             if fold(text) != fold(usual)
         ]
     return found
+
+
+def unlisted(
+    records: Sequence[Mapping[str, str]],
+    goals: Sequence[Any],
+    error_values: Mapping[str, Iterable[str]],
+) -> Iterator[tuple[int, str, str]]:
+    """Yields the goal's index, the slot and the value of goals whose value nothing else has.
+
+    In a hand-written corpus such a value is a typing error. Values that differ only in spelling are
+    misspellings instead, and reserved values have a meaning.
+
+    Args:
+        records: slot to value.
+        goals: the users' goals, :class:`~bbq_torchrl.domains.Goal`.
+        error_values: slot to values.
+    """
+    known = {(slot, plain(text)) for slot, texts in error_values.items() for text in texts}
+    known |= {(slot, plain(text)) for record in records for slot, text in record.items()}
+    for number, goal in enumerate(goals):
+        for slot, text in goal.constraints.items():
+            is_text = isinstance(text, str) and plain(text) not in _RESERVED
+            if is_text and (slot, plain(text)) not in known:
+                yield number, slot, text

@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from bbq_torchrl.domains import Action, Goal, ScriptedPolicySpec
-from bbq_torchrl.domains.faults import DomainError
+from bbq_torchrl.domains.domain import DomainError
 
 REQUESTED = [
     *("moviename", "theater", "starttime", "date", "numberofpeople", "genre", "state", "city"),

@@ -122,7 +122,7 @@ DAMAGED = {
     "something after it": (pickle.dumps([GOAL], 0) + b"x", "1 bytes"),
     "an empty stack": (b".", ""),
     "no UTF-8": (b"S'\\xff'\n.", ""),
-    "a huge text": (b"\x80\x04\x8e" + b"\xff" * 7 + b"\x0f", "memory"),
+    "a huge text": (b"\x80\x04\x8e" + b"\xff" * 7 + b"\x0f", "MemoryError"),
     "a huge frame": (b"\x80\x04\x95\xff\xff\xff\xff\xff\xff\xff\x7f.", ""),
 }
 
