@@ -70,10 +70,7 @@ def _parser() -> argparse.ArgumentParser:
     serve.add_argument("--port", type=port, default=8000, help="port to listen at")
 
     meaning = "play the study with simulated users, in files named -simulated, and report it"
-    simulate = add("simulate", _simulate, meaning)
-    users = "module:function that makes the users of a study; by default the simulator's"
-    simulate.add_argument("--users", default=USERS, help=users)
-
+    add("simulate", _simulate, meaning)
     add("report", _report, "write report, figures and data")
     add("participants", _participants, "write who takes part, by the ids of the join link")
     backup = add("backup", _backup, "copy the data, also while the study is served")
@@ -98,7 +95,7 @@ def _serve(given: argparse.Namespace) -> None:
     for library in ("starlette", "jinja2", "uvicorn"):
         needed(library, library, "study")
     with listen(given.host, given.port) as listener:  # before anything that takes time
-        make = _function("--talker", given.talker)
+        make = _function(given.talker)
         study = load_study(given.study)
         output.print_error(f"loading the agents {', '.join(study.terms.agents)} ...")
         talker = make(study)
@@ -108,8 +105,8 @@ def _serve(given: argparse.Namespace) -> None:
         from bbq_torchrl.people.study.storage import Store
         from bbq_torchrl.people.study.web import JOIN, RESEARCHER, application
 
-        local, url = Address.local(given.host, given.port), study.terms.url
-        address = Address.of(url) if url else local
+        host = f"[{given.host}]" if ":" in given.host else given.host
+        address = Address.of(study.terms.url or f"http://{host}:{given.port}")
         with closing(Store(study, talker)) as store, suppress(KeyboardInterrupt):
             _say(f"for people: {address.link(f'/join/{store.key(JOIN)}')}")
             _say(f"for you: {address.link(f'/r/{store.key(RESEARCHER)}')}")
@@ -129,8 +126,8 @@ def _serve(given: argparse.Namespace) -> None:
 
 
 def _simulate(given: argparse.Namespace) -> None:
-    make_talker = _function("--talker", given.talker)
-    make_users = _function("--users", given.users)
+    make_talker = _function(given.talker)
+    make_users = _function(USERS)
     study = load_study(given.study)
     from bbq_torchrl.people.study.simulate import simulate
 
@@ -142,11 +139,11 @@ def _simulate(given: argparse.Namespace) -> None:
     _report(given)
 
 
-def _function(option: str, name: str) -> Any:
+def _function(name: str) -> Any:
     try:
         return pkgutil.resolve_name(name)
     except (ImportError, AttributeError, ValueError) as error:
-        text = f"{option} must be module:function, got {shown(name)}: {error}"
+        text = f"--talker must be module:function, got {shown(name)}: {error}"
         raise ValueError(text) from error
 
 

@@ -45,17 +45,6 @@ class Address:
         is_default = int(found[3] or _PORTS[scheme]) == _PORTS[scheme]
         return cls(f"{scheme}://{host}{'' if is_default else f':{found[3]}'}", found[4])
 
-    @classmethod
-    def local(cls, host: str, port: int) -> Address:
-        """Returns the address of a server for this machine.
-
-        Examples:
-            >>> Address.local("::1", 8000).origin, Address.local("0.0.0.0", 8000).origin
-            ('http://[::1]:8000', 'http://127.0.0.1:8000')
-        """
-        host = {"": "127.0.0.1", "0.0.0.0": "127.0.0.1", "::": "::1"}.get(host, host)
-        return cls(f"http://{f'[{host}]' if ':' in host else host}:{port}")
-
     def link(self, path: str) -> str:
         """Returns the link to a page."""
         return f"{self.origin}{self.prefix}{path}"

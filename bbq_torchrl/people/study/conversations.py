@@ -88,7 +88,7 @@ class Conversations:
                 raise RefusedError(409, "That conversation has ended; your message was not sent.")
             number = len(exchanges) + 1
             if form.get("turn") != str(number):
-                text = "It has continued in another window; your last message was not sent."
+                text = "The conversation continued in another window; your message was not sent."
                 raise RefusedError(409, text)
             try:
                 text = clean(form.get("text", ""))

@@ -56,12 +56,6 @@ class Outcome(Session):
 
     exchanges: tuple[Exchange, ...]
 
-    @property
-    def pauses(self) -> list[float]:
-        """Seconds between each answer and the answer to the participant's next message."""
-        times = [exchange.at for exchange in self.exchanges]
-        return [later - earlier for earlier, later in pairwise(times)]
-
     def entropy(self, first: int | None = None) -> float | None:
         """Returns the mean entropy of the best action; ``None`` without a posterior.
 
@@ -123,15 +117,14 @@ class Outcomes:
 
 
 def _flags(sessions: Sequence[Outcome]) -> list[str]:
-    pauses = [pause for session in sessions for pause in session.pauses]
-    rated = [session.ratings for session in sessions if session.ratings]
+    pairs = chain(*(pairwise(session.exchanges) for session in sessions))
+    pauses = [after.at - before.at for before, after in pairs]
+    ratings = [list(session.ratings.values()) for session in sessions if session.ratings]
     checks = {
         f"too fast: mostly under {FAST_SECONDS:g} s between answer and message": (
             len(pauses) > 2 and median(pauses) < FAST_SECONDS
         ),
-        "always the same rating": (
-            len(rated) > 1 and len({value for scales in rated for value in scales.values()}) == 1
-        ),
+        "always the same rating": len(ratings) > 1 and len(set(chain(*ratings))) == 1,
         "one message a conversation": all(len(session.exchanges) < 2 for session in sessions),
     }
     return [flag for flag, holds in checks.items() if holds]

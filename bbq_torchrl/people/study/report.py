@@ -94,10 +94,9 @@ def _agents(outcomes: Outcomes) -> Iterator[str | Table]:
     yield Table("agents", rows)
     yield (
         "Means with 95 % intervals: Wilson's for success if everybody meets an agent once, else "
-        "Student's t over people, as for ratings from 1 to 5. Where that would leave the scale, or "
-        "has no width, two more people are counted, one at each end of the scale (Bonett and Price "
-        "2012); so it is for differences. Success is the judge's, by goal card and dialogue acts; "
-        "own verdict is what people said."
+        "Student's t over people; where that would leave the scale or has no width, with two more "
+        "people, one at each end (Bonett and Price 2012). Success is the judge's, by goal card and "
+        "dialogue acts; own verdict is what people said."
     )
 
 
@@ -183,11 +182,9 @@ def _uncertainty(outcomes: Outcomes) -> Iterator[str | Table]:
         yield Table("uncertainty", rows)
         yield (
             "Area under the curve as a sign of failure, with 95 % bootstrap intervals over people: "
-            ".5 says nothing, 1 all. "
-            "Entropy is that of the best action, a mean over a session's "
-            "answers or over its first ones; length is the number of messages. Where conversations "
-            "that fail are long, a sign that comes no sooner than length and is no better adds "
-            "nothing."
+            ".5 says nothing, 1 all. Entropy is that of the best action, a mean over a session's "
+            "answers; length is the number of messages. A sign that comes no sooner than length "
+            "and is no better adds nothing."
         )
 
 

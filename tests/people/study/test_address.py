@@ -48,20 +48,6 @@ def test_what_is_no_address_of_a_study_is_refused(url):
 
 
 @pytest.mark.parametrize(
-    ("host", "origin"),
-    [
-        ("localhost", "http://localhost:81"),
-        ("::1", "http://[::1]:81"),
-        ("::", "http://[::1]:81"),
-        ("0.0.0.0", "http://127.0.0.1:81"),
-        ("", "http://127.0.0.1:81"),
-    ],
-)
-def test_links_without_a_url_can_be_opened_on_this_machine(host, origin):
-    assert Address.local(host, 81).link("/p/x") == f"{origin}/p/x"
-
-
-@pytest.mark.parametrize(
     ("url", "headers", "status"),
     [
         ("", {"origin": "http://x", "host": "x"}, 303),

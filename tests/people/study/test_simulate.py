@@ -36,7 +36,6 @@ class Scripted:
 
 
 def make_users(study):
-    """The users that --users names."""
     return lambda goal, seed: Scripted(study.domain, goal, seed)
 
 
@@ -112,10 +111,11 @@ def test_ratings_are_drawn_by_the_rule_that_reports_tell():
     assert mean(True, 5) > mean(True, 10) > mean(False, 5) > mean(False, 15)
 
 
-def test_the_command_leaves_the_study_to_people(tmp_path, capsys):
+def test_the_command_leaves_the_study_to_people(tmp_path, monkeypatch, capsys):
     (tmp_path / "tickets.yaml").write_text(STUDY, encoding="utf-8")
     command = ["simulate", str(tmp_path / "tickets.yaml"), "--seed", "4"]
-    command += ["--talker", f"{__package__}.fakes:make", "--users", f"{__name__}:make_users"]
+    command += ["--talker", f"{__package__}.fakes:make"]
+    monkeypatch.setattr("bbq_torchrl.people.study.__main__.USERS", f"{__name__}:make_users")
     assert main(command) == 0
     told = capsys.readouterr().out
     assert "5 of 5 simulated users" in told
