@@ -130,11 +130,15 @@ class Conversations:
                 raise RefusedError(409, "You have rated it already; your first ratings count.")
             if not session.is_ended:
                 raise RefusedError(409, "Please end the conversation before you rate it.")
-            scales = {name: _rating(name, form.get(name, "")) for name in SCALES}
+            scales = {name: form.get(name, "") for name in SCALES}
+            for name, rating in scales.items():
+                if rating not in ("1", "2", "3", "4", "5"):
+                    raise RefusedError(422, f"Please rate {name} by a whole number from 1 to 5.")
             verdict = {"yes": True, "no": False}.get(form.get("verdict", ""))
             if verdict is None:
                 raise RefusedError(422, "Please say whether you got what you wanted: yes or no.")
-            self._store.rate(session, nonce, scales, verdict)
+            ratings = {name: int(rating) for name, rating in scales.items()}
+            self._store.rate(session, nonce, ratings, verdict)
 
     @contextmanager
     def _step(self, token: str, form: Mapping[str, str]) -> Iterator[tuple[Session, str]]:
@@ -192,9 +196,3 @@ def _session(sessions: Sequence[Session], form: Mapping[str, str]) -> Session:
         if str(session.position) == given and (session.is_rated or session is now):
             return session
     raise RefusedError(400, "This form is of another conversation: please open your link again.")
-
-
-def _rating(name: str, given: str) -> int:
-    if given not in ("1", "2", "3", "4", "5"):
-        raise RefusedError(422, f"Please rate {name} by a whole number from 1 to 5.")
-    return int(given)

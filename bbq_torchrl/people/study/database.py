@@ -280,18 +280,8 @@ IS_FINISHED = """NOT EXISTS (
 )"""
 """Condition on the table ``person``: the participant has rated all their conversations."""
 
-TAKEN = f"""
-    SELECT DISTINCT place FROM person
-    WHERE active > ? AND (
-        enrolled > ?
-        OR EXISTS (
-            SELECT 1 FROM session JOIN exchange ON exchange.session = session.id
-            WHERE session.person = person.id
-        )
-    ) OR {IS_FINISHED}
-"""
-"""Selects the places that nobody else gets; the parameters are the earliest times of activity and,
-if nothing has been said yet, of enrollment."""
+TAKEN = f"SELECT DISTINCT place FROM person WHERE active > ? OR {IS_FINISHED}"
+"""Selects the places that nobody else gets, given the earliest time of activity."""
 
 
 def current(sessions: Sequence[Session]) -> Session | None:

@@ -55,6 +55,7 @@ def export(folder: Path, outcomes: Outcomes) -> None:
         outcomes: the study's outcomes.
     """
     sessions, exchanges, lines = [], [], []
+    simulated = {"simulated": int(outcomes.simulated)}
     for item in outcomes.sessions:
         spoken = list(_exchanges(item))
         content = {**asdict(item), "exchanges": spoken, "simulated": outcomes.simulated}
@@ -64,27 +65,22 @@ def export(folder: Path, outcomes: Outcomes) -> None:
         about = ("person", "position", "agent", "goal", "ended_by")
         sessions.append(
             {
-                "session": item.id,
-                **{key: content[key] for key in about},
-                "success": int(item.success),
-                "reasons": "; ".join(item.reasons),
+                **{"session": item.id, **{key: content[key] for key in about}},
+                **{"success": int(item.success), "reasons": "; ".join(item.reasons)},
                 **{scale: item.ratings[scale] if item.ratings else "" for scale in SCALES},
                 "own_verdict": "" if item.verdict is None else int(item.verdict),
-                "exchanges": item.messages,
-                "entropy": item.entropy(),
-                "simulated": int(outcomes.simulated),
+                **{"exchanges": item.messages, "entropy": item.entropy(), **simulated},
             }
         )
         texts = ("number", "seconds", "text", "answer")
         for said, stored in zip(spoken, item.exchanges, strict=True):
             exchanges.append(
                 {
-                    "session": item.id,
-                    **{key: said[key] for key in texts},
+                    **{"session": item.id, **{key: said[key] for key in texts}},
                     "understood": without_names(str(stored.understood)),
                     "answered": without_names(str(stored.answered)),
                     "entropy": stored.beliefs["entropy"] if stored.beliefs else "",
-                    "simulated": int(outcomes.simulated),
+                    **simulated,
                 }
             )
     _write_csv(folder / "sessions.csv", sessions)

@@ -37,9 +37,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.dialogue import Reply, Talker
     from bbq_torchrl.people.study.plan import Study
 
-SILENT_SECONDS = 600.0
-"""The time after which the place of a participant who has said nothing is free again."""
-
 
 class ForgottenError(RuntimeError):
     """The participant whose step is to be stored has been forgotten."""
@@ -109,8 +106,7 @@ class Store:
         if secret not in (None, old_secret):
             faults.append("it was begun with another seed")
         if faults:
-            advice = "a study continues as it was begun; a changed one needs a new file name"
-            raise StoreError(self._path, *(f"{fault} ({advice})" for fault in faults))
+            raise StoreError(self._path, *faults, "a changed study needs a new file name")
         connection.execute("UPDATE study SET terms = ?", (new["terms"],))
         return str(old_secret)
 
@@ -146,7 +142,7 @@ class Store:
         """Gives a participant a place. Returns their token, or ``None`` if all places are taken.
 
         The lowest free place is taken first. A place is free again if its participant has left it
-        unfinished, after ten minutes if they have said nothing.
+        unfinished.
 
         Args:
             nonce: the nonce of the form; the same one gets the same token.
@@ -160,8 +156,7 @@ class Store:
             known = "SELECT id FROM person WHERE token = ?"
             if connection.execute(known, (hashed(token),)).fetchone():
                 return token
-            since = self._idle_since(now), now - SILENT_SECONDS
-            taken = {place for (place,) in connection.execute(TAKEN, since)}
+            taken = {place for (place,) in connection.execute(TAKEN, (self._idle_since(now),))}
             free = (place for place in range(self._terms.participants) if place not in taken)
             if (place := next(free, None)) is None:
                 return None

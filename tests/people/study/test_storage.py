@@ -70,7 +70,7 @@ def test_what_is_another_study_is_refused_all_at_once_but_more_people_are_welcom
     with pytest.raises(StoreError) as error:
         open_store(terms)
     monkeypatch.undo()
-    about = ("agents", "max_turns", "'secret-dqn'", "'secret-bbqn'", "bbq-torchrl")
+    about = ("agents", "max_turns", "'secret-dqn'", "'secret-bbqn'", "bbq-torchrl", "new")
     for name, fault in zip(about, error.value.faults, strict=True):
         assert name in fault
     open_store(replace(study.terms, participants=50))
@@ -100,16 +100,6 @@ def test_places_are_given_out_in_order_and_again_when_left(open_store, study, cl
         for token in (tokens[0], later)
     ]
     assert plans[0] == plans[1]
-
-
-def test_who_joins_and_says_nothing_has_a_place_for_ten_minutes(open_store, study, clock):
-    store = open_store(replace(study.terms, participants=1))
-    silent = store.enroll(NONCES[0])
-    clock.now += 599
-    assert store.enroll(NONCES[1]) is None
-    clock.now += 1
-    assert store.enroll(NONCES[1]) is not None
-    assert store.sessions(silent) != []  # who comes back late goes on all the same
 
 
 def test_who_has_finished_keeps_their_place(open_store, study, clock):
