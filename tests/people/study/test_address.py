@@ -123,13 +123,6 @@ def test_a_slash_at_the_end_leads_to_the_same_page_without_a_redirect(study, url
             assert site.client.get(f"{prefix}{path}").status_code == 404
 
 
-def test_the_url_may_change_while_a_study_is_under_way(study):
-    with published(study) as site:
-        join = site.join
-    with published(study, url=URL) as site:
-        assert site.join == join
-
-
 def test_a_port_in_use_is_a_sentence_before_anything_loads(tmp_path, capsys):
     with closing(listen("127.0.0.1", port := free_port())):
         # Who connects while the agents load waits, and is served.

@@ -63,12 +63,6 @@ def test_a_backup_replaces_nothing_and_needs_a_folder(site, study, tmp_path, cap
     assert (tmp_path / "old").read_text() == "an older copy"
 
 
-def test_a_study_that_was_not_served_has_no_backup(tmp_path, capsys):
-    assert main(["backup", str(tmp_path / "other.yaml"), str(tmp_path / "copy.sqlite")]) == 2
-    assert "other.sqlite: " in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
-
-
 @pytest.fixture
 def careless(monkeypatch):
     """SQLite as most have it: what is deleted stays in free pages."""

@@ -29,7 +29,9 @@ def test_a_person_goes_from_consent_to_thanks(site):
             "has ended" in site.say(link, *script(site.talker.domain, site.goal(link)), "bye").text
         )
         site.take(link, "rate", **RATED)
-    assert "Thank you" in site.client.get(link).text
+    thanks = site.client.get(link).text
+    assert "You can close this page." in thanks
+    assert "code" not in thanks  # without one in the study file
     sessions = site.store.sessions(link.removeprefix("/p/"))
     assert [(item.ended_by, item.success) for item in sessions] == [("agent", True)] * 2
 

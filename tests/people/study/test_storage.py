@@ -73,7 +73,7 @@ def test_what_is_another_study_is_refused_all_at_once_but_more_people_are_welcom
     about = ("agents", "max_turns", "'secret-dqn'", "'secret-bbqn'", "bbq-torchrl", "new")
     for name, fault in zip(about, error.value.faults, strict=True):
         assert name in fault
-    open_store(replace(study.terms, participants=50))
+    open_store(replace(study.terms, participants=50, url="https://lab.example/study/"))
 
 
 def test_places_are_given_out_in_order_and_again_when_left(open_store, study, clock):
