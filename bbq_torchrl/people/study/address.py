@@ -11,10 +11,9 @@ from bbq_torchrl.settings import Allowed
 from bbq_torchrl.utils.text import sentence, shown
 
 _PATTERN = re.compile(
-    r"(https?)://(\[[0-9a-f:.]+\]|[\w.-]+)(?::(\d{1,5}))?((?:/[\w.~-]+)*)/?",
+    r"(https?://(?:\[[0-9a-f:.]+\]|[\w.-]+)(?::\d{1,5})?)((?:/[\w.~-]+)*)/?",
     re.ASCII | re.IGNORECASE,
 )
-_PORTS = {"http": 80, "https": 443}
 
 
 @dataclass(frozen=True)
@@ -35,15 +34,11 @@ class Address:
         """Returns the address that a URL of :data:`ADDRESS` names.
 
         Examples:
-            >>> Address.of("https://Lab.example:443/study/")
+            >>> Address.of("https://Lab.example/study/")
             Address(origin='https://lab.example', prefix='/study')
         """
         found = _PATTERN.fullmatch(url)
-        if found is None:
-            return cls()
-        scheme, host = found[1].lower(), found[2].lower()
-        is_default = int(found[3] or _PORTS[scheme]) == _PORTS[scheme]
-        return cls(f"{scheme}://{host}{'' if is_default else f':{found[3]}'}", found[4])
+        return cls(found[1].lower(), found[2]) if found else cls()
 
     def link(self, path: str) -> str:
         """Returns the link to a page."""

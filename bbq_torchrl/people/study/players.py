@@ -44,7 +44,6 @@ class AgentTalker:
 
     Args:
         study: the study; paths of run folders are relative to the study file's folder.
-        tell: called with a message when the training begins.
 
     Attributes:
         domain: the study's domain, in the spelling of all acts.
@@ -55,8 +54,8 @@ class AgentTalker:
         ModuleNotFoundError: the extra ``language`` is not installed.
     """
 
-    def __init__(self, study: Study, tell: Callable[[str], None] = lambda _: None) -> None:
-        nlu = cached_understander(study.domain, None, tell)
+    def __init__(self, study: Study) -> None:
+        nlu = cached_understander(study.domain, None, print_error)
         self._language = language_key(study.domain)
         if not has_own_phrases(study.domain):
             _log.warning("the domain %s %s", study.domain.name, GENERIC)
@@ -108,7 +107,7 @@ class AgentTalker:
 def make_talker(study: Study) -> AgentTalker:
     """Returns the agents of a study with this package's language layer; torch uses one thread."""
     torch.set_num_threads(1)
-    return AgentTalker(study, tell=print_error)
+    return AgentTalker(study)
 
 
 class SimulatedUser:

@@ -83,10 +83,10 @@ def _agents(outcomes: Outcomes) -> Iterator[str | Table]:
     yield "## Agents"
     rows = []
     for agent in outcomes.terms.agents:
-        by_person = outcomes.successes(agent).values()
-        own = proportion(outcomes.by_person(lambda item: item.verdict, agent).values())
-        row = {"agent": agent, "sessions": _count(by_person)}
-        row |= {"success": proportion(by_person), "own verdict": own}
+        judged = outcomes.successes(agent).values()
+        own = outcomes.by_person(lambda item: item.verdict, agent).values()
+        row = {"agent": agent, "sessions": _count(judged)}
+        row |= {"success": proportion(judged), "own verdict": proportion(own)}
         for scale in SCALES:
             ratings = outcomes.ratings(agent, scale).values()
             row[scale] = participant_mean(ratings, (LOWEST, HIGHEST))

@@ -68,6 +68,7 @@ class Store:
         clock: Callable[[], float] = time.time,
     ) -> None:
         self._path, self._terms, self._clock = study.data, study.terms, clock
+        self._idle = 60 * study.terms.idle_minutes
         self._mutex = threading.RLock()
         prints = {agent: talker.fingerprint(agent) for agent in study.terms.agents}
         begun = {
@@ -156,7 +157,7 @@ class Store:
             known = "SELECT id FROM person WHERE token = ?"
             if connection.execute(known, (hashed(token),)).fetchone():
                 return token
-            taken = {place for (place,) in connection.execute(TAKEN, (self._idle_since(now),))}
+            taken = {place for (place,) in connection.execute(TAKEN, (now - self._idle,))}
             free = (place for place in range(self._terms.participants) if place not in taken)
             if (place := next(free, None)) is None:
                 return None
@@ -176,9 +177,6 @@ class Store:
         """Returns the sessions of the participant with the token; empty if nobody has it."""
         whose = "WHERE person = (SELECT id FROM person WHERE token = ?) ORDER BY position"
         return list(starmap(Session, self.rows(f"{SESSIONS} {whose}", hashed(token))))
-
-    def _idle_since(self, now: float) -> float:
-        return now - 60 * self._terms.idle_minutes
 
     # -- conversations -----------------------------------------------------------------------------
 
@@ -262,7 +260,7 @@ class Store:
                    COUNT(*) FILTER (WHERE active > ? AND NOT {IS_FINISHED})
             FROM person {NOT_FORGOTTEN}
         """
-        [(enrolled, finished, active)] = self.rows(query, self._idle_since(self._clock()))
+        [(enrolled, finished, active)] = self.rows(query, self._clock() - self._idle)
         counts = {
             **{"wanted": self._terms.participants, "enrolled": enrolled, "finished": finished},
             **{"active": active, "left": enrolled - finished - active},

@@ -24,8 +24,8 @@ TO_SERVER = {"base_url": "http://127.0.0.1:8000", "follow_redirects": False}
     ("url", "origin", "prefix"),
     [
         ("https://lab.example", "https://lab.example", ""),
-        ("HTTPS://Lab.Example:443/Study/", "https://lab.example", "/Study"),
-        ("http://10.0.0.5:80", "http://10.0.0.5", ""),
+        ("HTTPS://Lab.Example/Study/", "https://lab.example", "/Study"),
+        ("http://10.0.0.5", "http://10.0.0.5", ""),
         ("http://[::1]:8000/a/b-c_d.e~f", "http://[::1]:8000", "/a/b-c_d.e~f"),
         ("", "", ""),
     ],
