@@ -18,8 +18,7 @@ from bbq_torchrl.evaluation.run_result import read_result, write_json
 from bbq_torchrl.options.task import replica_values
 from bbq_torchrl.runs import shipped
 from bbq_torchrl.runs.build import make_domain
-from bbq_torchrl.runs.folders import run_config, save_config
-from bbq_torchrl.runs.folders import config_fingerprint
+from bbq_torchrl.runs.folders import config_fingerprint, run_config, save_config
 from bbq_torchrl.runs.train import make_agent
 from bbq_torchrl.trainers import CheckpointFolder
 from bbq_torchrl.utils.files import CHECKPOINTS, CONFIG, OVERRIDES, RESULT

@@ -9,8 +9,7 @@ import pytest
 import torch
 from planted import rewritten
 
-from bbq_torchrl.runs.folders import load_config
-from bbq_torchrl.runs.folders import config_fingerprint
+from bbq_torchrl.runs.folders import config_fingerprint, load_config
 from bbq_torchrl.runs.train import build_trainer
 from bbq_torchrl.trainers import CheckpointDamagedError, CheckpointMismatchError
 

@@ -28,7 +28,9 @@ from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import TrainingError
 
 optuna = pytest.importorskip("optuna", reason="needs the extra search")
-pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
+pytestmark = pytest.mark.filterwarnings(
+    "ignore::DeprecationWarning", "ignore::optuna.exceptions.ExperimentalWarning"
+)
 
 from sqlalchemy import event  # noqa: E402
 from sqlalchemy.pool import Pool  # noqa: E402
@@ -57,7 +59,7 @@ class Training:
     def __init__(self, fails=()):
         self.fails, self.played = dict(fails), []
 
-    def __call__(self, config, folder, callbacks, *, domain):
+    def __call__(self, config, folder, callbacks):
         save_config(dataclasses.replace(config, resume=None), folder / "config.yaml")
         kept, trial = folder / "rounds.json", int(folder.name.removeprefix("trial_"))
         assert (config.resume is not None) == kept.exists()
@@ -205,11 +207,11 @@ def test_two_processes_never_work_at_the_same_trial(tmp_path, impatient):
     class Slow(Training):
         def __call__(self, *given, **more):
             begun.set()
-            while len(other.trials) < 3:  # while this trial is under way, another does the rest
+            while len(other.trials) < 3 and time.time() < end:  # another does the rest meanwhile
                 time.sleep(0.05)
             return super().__call__(*given, **more)
 
-    slow, other = Slow(), Training()
+    end, slow, other = time.time() + 60, Slow(), Training()
     with ThreadPoolExecutor() as pool:
         first = pool.submit(search, tmp_path, training=slow)
         begun.wait(10)
