@@ -25,6 +25,7 @@ from bbq_torchrl.domains.folder import (
 )
 from bbq_torchrl.domains.miulab import fitted, read_corpus
 from bbq_torchrl.domains.values import misspellings, plain, unlisted
+from bbq_torchrl.settings import check, one_of
 from bbq_torchrl.utils import output
 
 if TYPE_CHECKING:
@@ -46,15 +47,14 @@ _TURN_WIDTH = 40
 
 def main(arguments: Sequence[str]) -> int:
     """Runs the command line. Returns the exit code."""
-    given = vars(_parser().parse_args(arguments))
-    files = {name: given.pop(name) for name in _FILES}
-    domain, changes = import_corpus(files=files, **given)  # the same names
+    given = _parser().parse_args(arguments)
+    domain, changes = _import(given)
     lines = [
-        f"{given['folder']}: {len(domain.records)} records, {len(domain.goals)} goals, "
+        f"{given.folder}: {len(domain.records)} records, {len(domain.goals)} goals, "
         f"{len(domain.slots)} slots, {len(domain.actions)} actions",
         *changes,
         f"{SPECIFICATION_FILE}: reference_slot_error_prob is 0; `python -m bbq_torchrl.domains "
-        f"calibrate domain=folder domain.path={given['folder']}` finds the one for a success rate",
+        f"calibrate domain=folder domain.path={given.folder}` finds the one for a success rate",
     ]
     output.write("".join(f"{line}\n" for line in lines))
     return 0
@@ -92,76 +92,35 @@ def _names(text: str) -> tuple[str, ...]:
     return tuple(name.strip() for name in text.split(",") if name.strip())
 
 
-def import_corpus(
-    folder: str | Path,
-    files: Mapping[str, str | Path],
-    *,
-    ticket: str,
-    essential: Sequence[str],
-    free: Sequence[str] = (),
-    complete: str = "taskcomplete",
-    opening: Sequence[str] = (),
-    without: Sequence[str] = (),
-    name: str | None = None,
-) -> tuple[Domain, list[str]]:
-    """Writes a domain folder from a corpus in MiuLab's format.
+def _import(given: argparse.Namespace) -> tuple[Domain, list[str]]:
+    """Writes the domain folder. Returns the domain, and a sentence for each kind of change.
 
     The agent can request every ordinary slot that users constrain or request, and inform every slot
     that records have. Domain extension adds the slots that are not essential, those named by most
     goals first. Values that differ only in blanks, quotes and the like get their most frequent
     spelling.
-
-    Args:
-        folder: output folder, new or empty.
-        files: text files of ``slots`` and ``acts``, a name per line; pickles of the records,
-            ``kb``, the users' ``goals`` and the lists of ``values``.
-        ticket: the slot that is booked.
-        essential: the slots that a booking needs, in the order in which policies request them.
-        free: the slots that never constrain the records.
-        complete: the slot whose inform offers a booking. Defaults to ``"taskcomplete"``.
-        opening: the slots that users inform in their first turn.
-        without: slots to remove from goals, records and values.
-        name: name of the domain. Defaults to the name of the folder.
-
-    Returns:
-        The domain as loaded from the new folder, and a sentence for each kind of change.
-
-    Raises:
-        FileNotFoundError: if a file is missing.
-        ValueError: if a file is damaged, an argument names an unknown slot, the folder is not
-            empty, or no usable entry remains.
     """
-    folder = Path(folder)
+    folder, special = given.folder, (given.ticket, given.complete)
     if folder.exists() and (not folder.is_dir() or any(folder.iterdir())):
         raise ValueError(f"folder must be new or empty, got {folder}, which exists already")
-    slots, acts = (_names_in(Path(files[key])) for key in ("slots", "acts"))
-    for key, names in {
-        "ticket": (ticket,),
-        "complete": (complete,),
-        "essential": essential,
-        "free": free,
-        "opening": opening,
-        "without": without,
-    }.items():
-        if unknown := [slot for slot in names if slot not in slots]:
-            raise ValueError(
-                f"{key} must name slots of {files['slots']}, got {', '.join(unknown)}; the slots "
-                f"are {', '.join(slots)}"
-            )
-    special = (ticket, complete)
-    core = tuple(slot for slot in essential if slot not in special)
+    slots, acts = _names_in(given.slots), _names_in(given.acts)
+    for key in ("ticket", "complete", "essential", "free", "opening", "without"):
+        names = getattr(given, key)
+        for slot in (names,) if isinstance(names, str) else names:
+            check(f"a slot of {key}", slot, one_of(*slots))
+    core = tuple(slot for slot in given.essential if slot not in special)
     pickles = {"records": "kb", "goals": "goals", "error_values": "values"}
-    data = {field: Path(files[key]) for field, key in pickles.items()}
-    corpus, changes = _cleaned(read_corpus(data, ticket), {*special, *without})
+    data = {field: getattr(given, key) for field, key in pickles.items()}
+    corpus, changes = _cleaned(read_corpus(data, given.ticket), {*special, *given.without})
     specification = {
-        "name": name or folder.resolve().name,
+        "name": given.name or folder.resolve().name,
         "acts": list(acts),
         "slots": list(slots),
         **_agent(corpus, acts, slots, special, core),
-        "free_slots": [*(slot for slot in free if slot not in special), *special],
-        "ticket_slot": ticket,
-        "complete_slot": complete,
-        "opening_slot": list(opening) or None,
+        "free_slots": [*(slot for slot in given.free if slot not in special), *special],
+        "ticket_slot": given.ticket,
+        "complete_slot": given.complete,
+        "opening_slot": list(given.opening) or None,
         "turn_width": _TURN_WIDTH,
         "reference_slot_error_prob": 0.0,
     }

@@ -260,10 +260,9 @@ def load_errors(domain: Domain) -> MeasuredErrors:
     """
     file = None if domain.folder is None else domain.folder / ERRORS_FILE
     if file is None or not file.is_file():
-        found = f"{domain.name} without a folder" if file is None else f"no {shown(str(file))}"
         raise ValueError(
-            f"env.errors=measured needs a domain folder with {ERRORS_FILE}, got {found}: "
-            f"`{_COMMAND} --domain <folder>` writes {ERRORS_FILE} into it"
+            f"env.errors=measured needs {ERRORS_FILE} in the domain's folder, got "
+            f"{shown(str(domain.folder))}: `{_COMMAND} --domain <folder>` writes it there"
         )
     try:
         counts = json.loads(file.read_text(encoding="utf-8-sig"))

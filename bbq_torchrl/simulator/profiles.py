@@ -98,25 +98,20 @@ class Profile:
         check_values(self)
 
 
-def _people(share: float, tells: tuple[int, int], patience: tuple[int, int]) -> Profile:
-    return Profile(
-        share,
-        patience,
-        (2, 4),
-        tells,
-        insists=0.8,
-        asks_late=0.5,
-        confirms=0.5,
-        changes_mind=0.1,
-        withholds=0.2,
-        explains=0.7,
-    )
-
-
+_PERSON = Profile(
+    patience=(12, 20),
+    bears=(2, 4),
+    insists=0.8,
+    asks_late=0.5,
+    confirms=0.5,
+    changes_mind=0.1,
+    withholds=0.2,
+    explains=0.7,
+)
 _PEOPLE = (
-    _people(0.35, (1, 1), (12, 20)),  # one thing at a time
-    _people(0.4, (1, 3), (12, 20)),
-    _people(0.25, (4, 8), (8, 16)),  # all at once
+    replace(_PERSON, share=0.35, tells=(1, 1)),  # one thing at a time
+    replace(_PERSON, share=0.4, tells=(1, 3)),
+    replace(_PERSON, share=0.25, tells=(4, 8), patience=(8, 16)),  # all at once
 )
 MIXES: dict[str, tuple[Profile, ...]] = {
     "paper": (),
