@@ -270,16 +270,15 @@ def sentences(found: Iterable[Fault], sources: Mapping[str, Source], rest: str =
             numbers += [number] if number not in numbers[-1:] else []
     files = list(dict.fromkeys(source.name for source, _ in places))
     in_order = sorted(places.items(), key=lambda item: (files.index(item[0][0].name), item[1][:1]))
-    return [_sentence(source, text, numbers) for (source, text), numbers in in_order]
-
-
-def _sentence(source: Source, text: str, numbers: list[int]) -> str:
-    where = [source.name] if source.name else []
-    if numbers:
-        some = ", ".join(map(str, numbers[:3]))
-        more = f" and {len(numbers) - 3} more" if len(numbers) > 3 else ""
-        where.append(f"{source.unit}{'s' if len(numbers) > 1 else ''} {some}{more}")
-    return f"{', '.join(where)}: {text}" if where else text
+    written = []
+    for (source, text), numbers in in_order:
+        where = [source.name] if source.name else []
+        if numbers:
+            some = ", ".join(map(str, numbers[:3]))
+            more = f" and {len(numbers) - 3} more" if len(numbers) > 3 else ""
+            where.append(f"{source.unit}{'s' if len(numbers) > 1 else ''} {some}{more}")
+        written.append(": ".join([", ".join(where), text] if where else [text]))
+    return written
 
 
 _SETTINGS = {

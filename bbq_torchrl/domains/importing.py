@@ -7,13 +7,12 @@ those that never constrain the knowledge base.
 from __future__ import annotations
 
 from collections import Counter
-from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import yaml
 
-from bbq_torchrl.domains.domain import Domain, Goal
+from bbq_torchrl.domains.domain import Goal
 from bbq_torchrl.domains.folder import (
     SPECIFICATION_FILE,
     VALUES_FILE,
@@ -32,6 +31,7 @@ if TYPE_CHECKING:
     import argparse
     from collections.abc import Mapping, Sequence
 
+    from bbq_torchrl.domains.domain import Domain
     from bbq_torchrl.domains.folder import Corpus
 
 _FILES = {
@@ -124,9 +124,7 @@ def _import(given: argparse.Namespace) -> tuple[Domain, list[str]]:
         "turn_width": _TURN_WIDTH,
         "reference_slot_error_prob": 0.0,
     }
-    domain = fitted(
-        partial(Domain, **fields_of(specification)), slots, corpus, data, skip_unusable=True
-    )
+    domain = fitted(fields_of(specification), corpus, data, skip_unusable=True)
     changes += [f"left out: {text}" for text in domain.skipped]
     lists = {slot: [*texts] for slot, texts in domain.error_values.items()}
     added: dict[str, dict[str, str]] = {}

@@ -8,13 +8,12 @@ from __future__ import annotations
 
 import io
 import pickle
-from dataclasses import dataclass, replace
-from functools import partial
+from dataclasses import dataclass, fields
 from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NoReturn
 
-from bbq_torchrl.domains.domain import DomainError, Fault, Goal, Source, sentences
+from bbq_torchrl.domains.domain import Domain, DomainError, Fault, Goal, Source, sentences
 from bbq_torchrl.domains.folder import content_of, shipped_domain
 from bbq_torchrl.domains.values import DIFFERENCE, misspellings
 from bbq_torchrl.settings import (
@@ -31,9 +30,8 @@ from bbq_torchrl.settings import (
 from bbq_torchrl.utils.text import FaultsError, sentence
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Iterator, Mapping, Sequence
 
-    from bbq_torchrl.domains.domain import Domain
     from bbq_torchrl.domains.folder import Corpus
 
 REFERENCE_SLOT_ERROR_PROB = 0.0581
@@ -119,15 +117,11 @@ def load_miulab(
     if missing := [file.name for file in files.values() if not file.is_file()]:
         raise FileNotFoundError(f"the MiuLab folder {folder} lacks {', '.join(missing)}")
     movie = shipped_domain("movie")
-    make = partial(
-        replace,
-        movie,
-        name="miulab",
-        reference_slot_error_prob=REFERENCE_SLOT_ERROR_PROB,
-        folder=None,
-    )
+    own = {item.name: getattr(movie, item.name) for item in fields(movie)}
+    own |= {"name": "miulab", "reference_slot_error_prob": REFERENCE_SLOT_ERROR_PROB}
+    own |= {"folder": None}
     corpus = read_corpus(files, movie.ticket_slot)
-    return fitted(make, movie.slots, corpus, files, skip_unusable=skip_unusable)
+    return fitted(own, corpus, files, skip_unusable=skip_unusable)
 
 
 def read_corpus(files: Mapping[str, Path], ticket: str) -> Corpus:
@@ -158,18 +152,12 @@ def read_corpus(files: Mapping[str, Path], ticket: str) -> Corpus:
 
 
 def fitted(
-    make: Callable[..., Domain],
-    slots: Sequence[str],
-    corpus: Corpus,
-    files: Mapping[str, Path],
-    *,
-    skip_unusable: bool,
+    own: Mapping[str, Any], corpus: Corpus, files: Mapping[str, Path], *, skip_unusable: bool
 ) -> Domain:
     """Returns the domain of a corpus, without the entries that cannot be used.
 
     Args:
-        make: makes the domain of ``records``, ``goals``, ``error_values``, ``skipped``, ``doubts``.
-        slots: the domain's slots.
+        own: the domain's fields; those of the corpus replace them.
         corpus: the result of :func:`read_corpus`.
         files: the same as there; messages name them.
         skip_unusable: whether unusable entries are left out rather than refused.
@@ -187,9 +175,10 @@ def fitted(
         content = content_of(usable)
         doubts = sentences(_doubts(content), sources)
         try:
-            return make(**content, skipped=tuple(skipped), doubts=tuple(doubts))
+            told = {"skipped": tuple(skipped), "doubts": tuple(doubts)}
+            return Domain(**{**own, **content, **told})
         except DomainError as error:
-            left = _without(usable, error.found, slots)
+            left = _without(usable, error.found, own["slots"])
             skipped += sentences(error.found, sources)
             if left == usable or not skip_unusable:
                 raise FaultsError(str(files["records"].parent), skipped) from error

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import torch
+from torch import Tensor
 
 from bbq_torchrl.domains.values import FIRST_VALUE, NONE, RESERVED_TEXT, fold, value_ids
 
@@ -68,17 +69,17 @@ class DomainTensors(Movable):
     slot: Mapping[str, int]
     ticket: int
     complete: int
-    opening: torch.Tensor
-    action_act: torch.Tensor
-    action_slot: torch.Tensor
+    opening: Tensor
+    action_act: Tensor
+    action_slot: Tensor
     has_choices: bool
-    records: torch.Tensor
-    goal_constraints: torch.Tensor
-    goal_requests: torch.Tensor
-    n_values: torch.Tensor
-    constrains: torch.Tensor
-    error_values: torch.Tensor
-    error_count: torch.Tensor
+    records: Tensor
+    goal_constraints: Tensor
+    goal_requests: Tensor
+    n_values: Tensor
+    constrains: Tensor
+    error_values: Tensor
+    error_count: Tensor
     vocabulary: tuple[tuple[str, ...], ...]
 
 
@@ -121,11 +122,11 @@ def tensorize(domain: Domain) -> DomainTensors:
     vocabulary = build_vocabulary(domain)
     ids = value_ids(vocabulary)
 
-    def mask(names: Iterable[str]) -> torch.Tensor:
+    def mask(names: Iterable[str]) -> Tensor:
         chosen = set(names)
         return torch.tensor([name in chosen for name in domain.slots])
 
-    def encode(rows: Sequence[Mapping[str, str]]) -> torch.Tensor:
+    def encode(rows: Sequence[Mapping[str, str]]) -> Tensor:
         encoded = torch.full((len(rows), len(slot)), NONE)
         for row, values in enumerate(rows):
             for name, value in values.items():

@@ -7,9 +7,10 @@ equal choices.
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
 
-def index_below(uniform: torch.Tensor, count: torch.Tensor | int) -> torch.Tensor:
+def index_below(uniform: Tensor, count: Tensor | int) -> Tensor:
     """Chooses an index below ``count``, ``floor(uniform * count)``. Returns long, same shape.
 
     Args:
@@ -24,7 +25,7 @@ def index_below(uniform: torch.Tensor, count: torch.Tensor | int) -> torch.Tenso
     return (uniform.double() * count).long()
 
 
-def pick_slot(pool: torch.Tensor, uniform: torch.Tensor) -> torch.Tensor:
+def pick_slot(pool: Tensor, uniform: Tensor) -> Tensor:
     """Chooses a slot of each set with equal probability. Returns one-hot flags, bool ``[*B, S]``.
 
     The slot with the largest number wins; ties go to the lowest slot. An empty set has no flag.
@@ -40,7 +41,7 @@ def pick_slot(pool: torch.Tensor, uniform: torch.Tensor) -> torch.Tensor:
     return one_hot(torch.where(pool, uniform, -1.0).argmax(-1), pool.shape[-1]) & pool
 
 
-def one_hot(index: torch.Tensor, count: int) -> torch.Tensor:
+def one_hot(index: Tensor, count: int) -> Tensor:
     """Returns one-hot flags of an index, bool ``[*B, count]``; a negative index has no flag.
 
     Examples:
@@ -51,7 +52,7 @@ def one_hot(index: torch.Tensor, count: int) -> torch.Tensor:
     return index[..., None] == torch.arange(count, device=index.device)
 
 
-def rows(table: torch.Tensor, index: torch.Tensor) -> torch.Tensor:
+def rows(table: Tensor, index: Tensor) -> Tensor:
     """Returns ``table[index]``, shape ``[*B, *row]``.
 
     On the CPU this copies whole rows, about five times as fast as advanced indexing.
@@ -80,7 +81,7 @@ _BYTES = 0x0F0F0F0F0F0F0F0F
 _ONES = 0x0101010101010101
 
 
-def pack(members: torch.Tensor) -> torch.Tensor:
+def pack(members: Tensor) -> Tensor:
     """Packs membership flags into words. Returns int64 ``[*batch, ceil(rows / 64)]``.
 
     Args:
@@ -99,7 +100,7 @@ def pack(members: torch.Tensor) -> torch.Tensor:
     return packed.view(torch.int64)
 
 
-def _counts_in_bytes(words: torch.Tensor) -> torch.Tensor:
+def _counts_in_bytes(words: Tensor) -> Tensor:
     """Returns words in which each byte is the number of bits set in that byte of ``words``."""
     # Bits are added in pairs, in fours, then in bytes. The masks also remove the sign bits that >>
     # shifts in.
@@ -108,7 +109,7 @@ def _counts_in_bytes(words: torch.Tensor) -> torch.Tensor:
     return (words + (words >> 4)) & _BYTES
 
 
-def popcount(words: torch.Tensor) -> torch.Tensor:
+def popcount(words: Tensor) -> Tensor:
     """Counts the members of each packed set. Returns long ``[*batch]``.
 
     Args:
@@ -121,7 +122,7 @@ def popcount(words: torch.Tensor) -> torch.Tensor:
     return ((_counts_in_bytes(words) * _ONES) >> _TOP_BYTE).sum(-1)
 
 
-def byte_counts(words: torch.Tensor) -> torch.Tensor:
+def byte_counts(words: Tensor) -> Tensor:
     """Counts the members in each byte of each packed set. Returns uint8 ``[*batch, 8 * W]``.
 
     Args:

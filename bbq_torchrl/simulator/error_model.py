@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Literal, Protocol, get_args
 
 import torch
+from torch import Tensor
 
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import NONE
@@ -44,10 +45,10 @@ class Channel(Protocol):
         self,
         said: Utterance,
         agent: AgentTurn | None,
-        before: torch.Tensor,
-        is_silent: torch.Tensor,
+        before: Tensor,
+        is_silent: Tensor,
         draws: TensorDictBase,
-        active: torch.Tensor,
+        active: Tensor,
     ) -> Utterance:
         """Returns the utterance heard.
 
@@ -117,10 +118,10 @@ class ErrorModel(Movable):
         self,
         said: Utterance,
         agent: AgentTurn | None,
-        before: torch.Tensor,
-        is_silent: torch.Tensor,
+        before: Tensor,
+        is_silent: Tensor,
         draws: TensorDictBase,
-        active: torch.Tensor,
+        active: Tensor,
     ) -> Utterance:
         """Returns the utterance heard; see :class:`Channel`."""
         if agent is None:
@@ -131,12 +132,10 @@ class ErrorModel(Movable):
             act = torch.where(is_random, index_below(draws["intent_act"], self._n_acts), act)
         return Utterance(act, self._informs(said, draws, active), said.requests)
 
-    def _informs(
-        self, said: Utterance, draws: TensorDictBase, active: torch.Tensor
-    ) -> torch.Tensor:
+    def _informs(self, said: Utterance, draws: TensorDictBase, active: Tensor) -> Tensor:
         """Returns the informed values after errors: value ids, long ``[*B, S]``."""
-        informs: torch.Tensor = said.informs
-        prob: float | torch.Tensor = self.slot_error_prob
+        informs: Tensor = said.informs
+        prob: float | Tensor = self.slot_error_prob
         if said.error_prob is not None:
             prob = torch.where(said.error_prob < 0, prob, said.error_prob)
         elif prob == 0.0:
@@ -156,18 +155,18 @@ class ErrorModel(Movable):
         spared = torch.where(is_spared, informs, NONE)
         return self._overlay(spared, is_value & self._has_values, is_slot, draws, active)
 
-    def _other_value(self, draws: TensorDictBase) -> torch.Tensor:
+    def _other_value(self, draws: TensorDictBase) -> Tensor:
         """Draws an error value of each slot. Returns value ids, long ``[*B, S]``."""
         return self._values.take(self._first + index_below(draws["error_value"], self._count))
 
     def _overlay(
         self,
-        spared: torch.Tensor,
-        is_value: torch.Tensor,
-        is_slot: torch.Tensor,
+        spared: Tensor,
+        is_value: Tensor,
+        is_slot: Tensor,
         draws: TensorDictBase,
-        active: torch.Tensor,
-    ) -> torch.Tensor:
+        active: Tensor,
+    ) -> Tensor:
         """Adds the replacements to the values without errors. Returns value ids, long ``[*B, S]``.
 
         Args:

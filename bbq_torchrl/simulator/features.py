@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import torch
+from torch import Tensor
 
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import NONE
@@ -100,7 +101,7 @@ class FeatureLayout:
     def __iter__(self) -> Iterator[str]:
         return iter(self.groups)
 
-    def active(self, slots: torch.Tensor) -> torch.Tensor:
+    def active(self, slots: Tensor) -> Tensor:
         """Returns the features that can differ from 0, bool ``[F]``: all but inactive slots'.
 
         Args:
@@ -138,7 +139,7 @@ class Features(Movable):
             domain.turn_width, dtype=torch.float32, device=domain.records.device
         )
 
-    def __call__(self, state: TensorDictBase, active: torch.Tensor) -> torch.Tensor:
+    def __call__(self, state: TensorDictBase, active: Tensor) -> Tensor:
         """Returns the features, float32 ``[*B, F]``.
 
         Args:
@@ -197,9 +198,7 @@ class Rewards:
         for name, value in vars(self).items():
             check(f"the reward for {name}", value, REWARD)
 
-    def of(
-        self, was_done: torch.Tensor, is_done: torch.Tensor, success: torch.Tensor
-    ) -> torch.Tensor:
+    def of(self, was_done: Tensor, is_done: Tensor, success: Tensor) -> Tensor:
         """Returns the reward of a turn, float32 ``[*B]``; 0 if the dialogue was over before.
 
         Args:

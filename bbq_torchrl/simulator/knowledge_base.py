@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import torch
+from torch import Tensor
 
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import DONT_CARE, FIRST_VALUE, NO_MATCH, NONE
@@ -88,11 +89,11 @@ class KnowledgeBase(Movable):
             ]
         )
 
-    def _chosen(self, held: torch.Tensor) -> torch.Tensor:
+    def _chosen(self, held: Tensor) -> Tensor:
         """Returns the index of the set of each slot's value, long ``[*B, K]``."""
         return held.index_select(-1, self.slots) + self.first_set
 
-    def matching(self, held: torch.Tensor) -> torch.Tensor:
+    def matching(self, held: Tensor) -> Tensor:
         """Returns the records that match all values held, as packed sets, int64 ``[*B, W]``.
 
         Args:
@@ -100,11 +101,11 @@ class KnowledgeBase(Movable):
         """
         return _intersect(self.sets, self._chosen(held))
 
-    def matching_counts(self, held: torch.Tensor) -> torch.Tensor:
+    def matching_counts(self, held: Tensor) -> Tensor:
         """Counts the records that match all values held. Returns long ``[*B]``."""
         return popcount(self.matching(held))
 
-    def value_counts(self, held: torch.Tensor) -> torch.Tensor:
+    def value_counts(self, held: Tensor) -> Tensor:
         """Counts, for each slot, the records that have the value held. Returns long ``[*B, S]``.
 
         The count is 0 without a value, for reserved values, and for slots that never constrain the
@@ -112,9 +113,7 @@ class KnowledgeBase(Movable):
         """
         return self.counts.take(held + self.first_count)
 
-    def counts_by_value(
-        self, held: torch.Tensor, slot: torch.Tensor
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    def counts_by_value(self, held: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
         """Counts the matching records by their value of one slot.
 
         Args:
@@ -134,7 +133,7 @@ class KnowledgeBase(Movable):
         below = running.gather(-1, rows(self.bounds, order))
         return below.diff(dim=-1), running[..., -1]
 
-    def counted_values(self, slot: torch.Tensor) -> torch.Tensor:
+    def counted_values(self, slot: Tensor) -> Tensor:
         """Returns the value ids, long ``[*B, C]``, that :meth:`counts_by_value` counts.
 
         Args:
@@ -142,7 +141,7 @@ class KnowledgeBase(Movable):
         """
         return rows(self.counted, self.order_of_slot.take(slot))
 
-    def fill(self, held: torch.Tensor, slot: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+    def fill(self, held: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
         """Finds the most frequent value of a slot among the records that match all values held.
 
         Ties go to the lowest value id.
@@ -167,7 +166,7 @@ class KnowledgeBase(Movable):
             has_match.append(total > 0)
         return torch.cat(values).view(slot.shape), torch.cat(has_match).view(slot.shape)
 
-    def most_frequent(self, counts: torch.Tensor, slot: torch.Tensor) -> torch.Tensor:
+    def most_frequent(self, counts: Tensor, slot: Tensor) -> Tensor:
         """Returns the ids of the most frequent values, long ``[*B]``.
 
         Args:
@@ -182,7 +181,7 @@ class KnowledgeBase(Movable):
         return torch.where(is_found, self.counted.take(index), NO_MATCH)
 
 
-def _allowed_records(domain: DomainTensors, slots: Sequence[int]) -> torch.Tensor:
+def _allowed_records(domain: DomainTensors, slots: Sequence[int]) -> Tensor:
     """Returns the records that match each value of each slot, bool ``[values, rows]``."""
     allowed = []
     for slot in slots:
@@ -194,7 +193,7 @@ def _allowed_records(domain: DomainTensors, slots: Sequence[int]) -> torch.Tenso
     return torch.cat(allowed)
 
 
-def _distinct_rows(allowed: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def _distinct_rows(allowed: Tensor) -> tuple[Tensor, Tensor]:
     """Returns the index of each row's set, and the sets: the full, the empty, then the others."""
     everything, nothing = torch.ones_like(allowed[:1]), torch.zeros_like(allowed[:1])
     is_empty, is_full = ~allowed.any(-1), allowed.all(-1)
@@ -203,12 +202,12 @@ def _distinct_rows(allowed: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     return index, torch.cat([everything, nothing, allowed[is_partial]])
 
 
-def _occurring(values: torch.Tensor) -> torch.Tensor:
+def _occurring(values: Tensor) -> Tensor:
     """Returns the value ids that occur in records, sorted, long ``[values]``."""
     return values[values >= FIRST_VALUE].unique()
 
 
-def _order_by_value(values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
+def _order_by_value(values: Tensor) -> tuple[Tensor, Tensor]:
     """Orders the records by their value of a slot; each value starts a new byte.
 
     Args:
@@ -229,9 +228,7 @@ def _order_by_value(values: torch.Tensor) -> tuple[torch.Tensor, torch.Tensor]:
     return torch.cat(positions), torch.tensor(bounds[:-1])
 
 
-def _pack_in_orders(
-    members: torch.Tensor, orders: Sequence[torch.Tensor], n_positions: int
-) -> torch.Tensor:
+def _pack_in_orders(members: Tensor, orders: Sequence[Tensor], n_positions: int) -> Tensor:
     """Packs the sets in each order of the records. Returns int64 ``[orders * sets, words]``.
 
     Args:
@@ -249,26 +246,26 @@ def _pack_in_orders(
     return packed
 
 
-def _ordered(members: torch.Tensor, order: torch.Tensor, n_positions: int) -> torch.Tensor:
+def _ordered(members: Tensor, order: Tensor, n_positions: int) -> Tensor:
     """Returns bool ``[sets, n_positions]``: whether the record at each position is a member."""
     is_member = members.index_select(1, order.clamp(min=0)) & (order >= 0)
     return torch.nn.functional.pad(is_member, (0, n_positions - order.numel()))
 
 
-def _extend(entries: torch.Tensor, length: int) -> torch.Tensor:
+def _extend(entries: Tensor, length: int) -> Tensor:
     """Pads ``entries`` to ``length`` with the last one; "no match" if empty."""
     last = entries[-1] if entries.numel() else torch.tensor(NO_MATCH)
     return torch.cat([entries, last.expand(length - entries.numel())])
 
 
-def _literal_counts(values: torch.Tensor, n_values: int) -> torch.Tensor:
+def _literal_counts(values: Tensor, n_values: int) -> Tensor:
     """Counts the records of each value id, long ``[n_values]``; 0 for reserved ids."""
     counts = torch.bincount(values, minlength=n_values)
     counts[:FIRST_VALUE] = 0
     return counts
 
 
-def _intersect(sets: torch.Tensor, chosen: torch.Tensor) -> torch.Tensor:
+def _intersect(sets: Tensor, chosen: Tensor) -> Tensor:
     """Returns the intersection of ``sets[chosen[..., k]]`` over k: int64 ``[*B, W]``."""
     by_slot = chosen.reshape(-1, chosen.shape[-1]).t().contiguous().unbind()
     words = sets.index_select(0, by_slot[0])

@@ -8,6 +8,7 @@ from functools import reduce
 from typing import TYPE_CHECKING, Any
 
 import torch
+from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
 from bbq_torchrl.domains.frames import Coding
@@ -95,10 +96,10 @@ class MeasuredErrors(Movable):
         self,
         said: Utterance,
         agent: AgentTurn | None,
-        before: torch.Tensor,
-        is_silent: torch.Tensor,
+        before: Tensor,
+        is_silent: Tensor,
         draws: TensorDictBase,
-        active: torch.Tensor,
+        active: Tensor,
     ) -> Utterance:
         """Returns the utterance heard; see :class:`~bbq_torchrl.simulator.Channel`."""
         question, asks_or_question, context = context_of(agent, said, self._n_acts)
@@ -113,12 +114,8 @@ class MeasuredErrors(Movable):
         )
 
     def _hear_values(
-        self,
-        informs: torch.Tensor,
-        context: torch.Tensor,
-        asks_or_question: torch.Tensor,
-        draws: TensorDictBase,
-    ) -> torch.Tensor:
+        self, informs: Tensor, context: Tensor, asks_or_question: Tensor, draws: TensorDictBase
+    ) -> Tensor:
         """Returns the values heard, long ``[*B, S]``."""
         row = context * self._n_rows + self._first + informs
         code = _drawn(self._value_below, self._value_codes, row, draws["slot_error"])
@@ -133,9 +130,7 @@ class MeasuredErrors(Movable):
         is_new = one_hot(code // ABOVE_IDS, self._n_slots) & (heard == NONE)
         return torch.where(is_new, (code % ABOVE_IDS)[..., None], heard)
 
-    def _hear_requests(
-        self, requests: torch.Tensor, context: torch.Tensor, draws: TensorDictBase
-    ) -> torch.Tensor:
+    def _hear_requests(self, requests: Tensor, context: Tensor, draws: TensorDictBase) -> Tensor:
         """Returns the slots heard as requested, bool ``[*B, S]``."""
         count = requests.sum(-1, keepdim=True).clamp(max=MAX_REQUESTS)
         row = (count * 2 + requests.long()) * len(CONTEXTS) + context
@@ -199,7 +194,7 @@ def questions_of(acts: Sequence[str], slots: Sequence[str]) -> tuple[str, ...]:
 
 def context_of(
     agent: AgentTurn | None, said: Utterance, n_acts: int
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+) -> tuple[Tensor, Tensor, Tensor]:
     """Returns the context in which users speak.
 
     Args:
@@ -229,7 +224,7 @@ def _rate(found: Mapping[str, Sequence[int]], is_said: bool, slots: Sequence[str
     return [found[slot][0] / found[slot][1] if slot in found else mean for slot in slots]
 
 
-def _table(found: Sequence[Sequence[tuple[int, float]]]) -> tuple[torch.Tensor, torch.Tensor]:
+def _table(found: Sequence[Sequence[tuple[int, float]]]) -> tuple[Tensor, Tensor]:
     """Returns cumulative probabilities and codes ``[rows, most]`` of weighted codes."""
     weights = pad_sequence(
         [torch.tensor([weight for _, weight in row], dtype=torch.float64) for row in found], True
@@ -241,9 +236,7 @@ def _table(found: Sequence[Sequence[tuple[int, float]]]) -> tuple[torch.Tensor, 
     return below.float(), codes
 
 
-def _drawn(
-    below: torch.Tensor, codes: torch.Tensor, row: torch.Tensor, uniform: torch.Tensor
-) -> torch.Tensor:
+def _drawn(below: Tensor, codes: Tensor, row: Tensor, uniform: Tensor) -> Tensor:
     """Draws a code from each row's distribution. Returns long, shape of ``row``."""
     choice = (uniform[..., None] >= rows(below, row)).sum(-1)
     return codes.flatten().take(row * codes.shape[-1] + choice)
@@ -306,10 +299,10 @@ class ErrorCounter:
         self,
         said: Utterance,
         agent: AgentTurn | None,
-        before: torch.Tensor,
-        is_silent: torch.Tensor,
+        before: Tensor,
+        is_silent: Tensor,
         draws: TensorDictBase,
-        active: torch.Tensor,
+        active: Tensor,
     ) -> Utterance:
         """Returns the utterance heard, and counts it."""
         heard = self._channel.transmit(said, agent, before, is_silent, draws, active)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import TensorDict
+from torch import Tensor
 
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import DONT_CARE, NONE
@@ -197,7 +198,7 @@ class Mix(Movable):
         changes = any(kind.changes_mind for kind in profiles)
         self._first, self._count, self._values = _alternatives(domain, changes)
 
-    def traits(self, draws: TensorDictBase, goal: torch.Tensor, active: torch.Tensor) -> TensorDict:
+    def traits(self, draws: TensorDictBase, goal: Tensor, active: Tensor) -> TensorDict:
         """Returns the traits of dialogues' users, ``[*B]``.
 
         ==============  =====  ========  ===========================================================
@@ -243,15 +244,13 @@ class Mix(Movable):
         )
 
 
-def _within(bounds: torch.Tensor, uniform: torch.Tensor) -> torch.Tensor:
+def _within(bounds: Tensor, uniform: Tensor) -> Tensor:
     """Returns integers from least to most, long ``[*B]``, for bounds ``[*B, 2]``."""
     least, most = bounds.unbind(-1)
     return least + index_below(uniform, most - least + 1)
 
 
-def _alternatives(
-    domain: DomainTensors, changes: bool
-) -> tuple[torch.Tensor, torch.Tensor, torch.Tensor]:
+def _alternatives(domain: DomainTensors, changes: bool) -> tuple[Tensor, Tensor, Tensor]:
     """Returns the values that could replace each constraint of each goal.
 
     With each of them a record meets all constraints and has values for all requests. A free slot

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import TensorDict
+from torch import Tensor
 
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import NO_MATCH, NONE
@@ -128,7 +129,7 @@ class Simulator(Movable):
         """The largest number of agent turns in a dialogue; the last of them fails."""
         return self.max_turn // _ACTS_PER_TURN + 1
 
-    def action_mask(self, active: torch.Tensor) -> torch.Tensor:
+    def action_mask(self, active: Tensor) -> Tensor:
         """Returns the legal actions, bool ``[N]``: slotless acts and actions of active slots.
 
         Args:
@@ -192,7 +193,7 @@ class Simulator(Movable):
             device=self.device,
         )
 
-    def reset(self, draws: TensorDictBase, active: torch.Tensor) -> TensorDict:
+    def reset(self, draws: TensorDictBase, active: Tensor) -> TensorDict:
         """Starts dialogues. Returns the state after the users' first turn.
 
         Args:
@@ -231,11 +232,7 @@ class Simulator(Movable):
         )
 
     def turn(
-        self,
-        state: TensorDictBase,
-        action: torch.Tensor,
-        draws: TensorDictBase,
-        active: torch.Tensor,
+        self, state: TensorDictBase, action: Tensor, draws: TensorDictBase, active: Tensor
     ) -> TensorDict:
         """Plays one turn: the agent's act and the users' reply. Returns the next state.
 
@@ -311,7 +308,7 @@ class Simulator(Movable):
             reply["user_act"], reply["meant_informs"], reply["pending"], error_prob=rates
         )
 
-    def observe(self, state: TensorDictBase, active: torch.Tensor) -> torch.Tensor:
+    def observe(self, state: TensorDictBase, active: Tensor) -> Tensor:
         """Returns the features of the states, float32 ``[*B, F]``.
 
         Args:
@@ -321,8 +318,8 @@ class Simulator(Movable):
         return self.features(state, active)
 
     def _is_success(
-        self, state: TensorDictBase, agent: AgentTurn, reply: dict[str, torch.Tensor]
-    ) -> torch.Tensor:
+        self, state: TensorDictBase, agent: AgentTurn, reply: dict[str, Tensor]
+    ) -> Tensor:
         """Returns whether the agent ends the dialogues in success, bool ``[*B]``."""
         constraints, history = state["constraints"], reply["history"]
         is_left = (reply["pending"] | reply["agenda"]) & ~self._is_ticket

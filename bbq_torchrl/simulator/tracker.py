@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 import torch
+from torch import Tensor
 
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, NONE
@@ -38,21 +39,21 @@ class AgentTurn:
             ids with zeros in between; ``None`` in domains without multiple choices.
     """
 
-    act: torch.Tensor
-    slot: torch.Tensor
-    is_slot: torch.Tensor
-    value: torch.Tensor
-    informs: torch.Tensor
-    requests: torch.Tensor
-    is_request: torch.Tensor
-    is_inform: torch.Tensor
-    is_booking: torch.Tensor
-    is_multiple_choice: torch.Tensor
-    is_confirm_answer: torch.Tensor
-    is_end: torch.Tensor
-    offered: torch.Tensor | None
+    act: Tensor
+    slot: Tensor
+    is_slot: Tensor
+    value: Tensor
+    informs: Tensor
+    requests: Tensor
+    is_request: Tensor
+    is_inform: Tensor
+    is_booking: Tensor
+    is_multiple_choice: Tensor
+    is_confirm_answer: Tensor
+    is_end: Tensor
+    offered: Tensor | None
 
-    def choose(self, uniform: torch.Tensor) -> torch.Tensor:
+    def choose(self, uniform: Tensor) -> Tensor:
         """Chooses one of the values offered. Returns value ids, long ``[*B]``.
 
         Without an offered value it is "I do not care".
@@ -83,11 +84,11 @@ class Utterance:
             slot; negative for that of the channel, ``None`` for that of the channel everywhere.
     """
 
-    act: torch.Tensor
-    informs: torch.Tensor
-    requests: torch.Tensor
-    repeats: torch.Tensor | None = None
-    error_prob: torch.Tensor | None = None
+    act: Tensor
+    informs: Tensor
+    requests: Tensor
+    repeats: Tensor | None = None
+    error_prob: Tensor | None = None
 
 
 class Tracker(Movable):
@@ -122,7 +123,7 @@ class Tracker(Movable):
             ]
         )
 
-    def complete(self, held: torch.Tensor, action: torch.Tensor) -> AgentTurn:
+    def complete(self, held: Tensor, action: Tensor) -> AgentTurn:
         """Completes the agent's action from the records that match all values held.
 
         Args:
@@ -163,19 +164,19 @@ class Tracker(Movable):
         )
 
     @staticmethod
-    def hold(held: torch.Tensor, agent: AgentTurn) -> torch.Tensor:
+    def hold(held: Tensor, agent: AgentTurn) -> Tensor:
         """Returns the values held after the agent's act, long ``[*B, S]``."""
         is_informed = agent.is_slot & (agent.is_inform | agent.is_booking)[..., None]
         return torch.where(is_informed, agent.value[..., None], held)
 
     @staticmethod
-    def hear(held: torch.Tensor, informs: torch.Tensor) -> torch.Tensor:
+    def hear(held: Tensor, informs: Tensor) -> Tensor:
         """Returns the values held after the user's act, long ``[*B, S]``; the latest wins."""
         return torch.where(informs != NONE, informs, held)
 
     def answer(
-        self, asked: torch.Tensor, open_requests: torch.Tensor, agent: AgentTurn
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+        self, asked: Tensor, open_requests: Tensor, agent: AgentTurn
+    ) -> tuple[Tensor, Tensor]:
         """Removes the requests that the agent's act answers. Returns both kinds of requests.
 
         Args:
@@ -190,13 +191,13 @@ class Tracker(Movable):
 
     def ask(
         self,
-        asked: torch.Tensor,
-        open_requests: torch.Tensor,
-        agent_act: torch.Tensor,
-        agent_informs: torch.Tensor,
-        agent_requests: torch.Tensor,
+        asked: Tensor,
+        open_requests: Tensor,
+        agent_act: Tensor,
+        agent_informs: Tensor,
+        agent_requests: Tensor,
         heard: Utterance,
-    ) -> tuple[torch.Tensor, torch.Tensor]:
+    ) -> tuple[Tensor, Tensor]:
         """Returns both kinds of requests after the user's act, each bool ``[*B, S]``.
 
         A simulated user repeats its pending requests in each turn, and sets them aside while it

@@ -5,6 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 import torch
+from torch import Tensor
 
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import DONT_CARE, NO_MATCH, NONE
@@ -34,7 +35,7 @@ class User(Movable):
         slots = torch.arange(domain.n_slots, device=domain.records.device)
         self._is_ticket = slots == domain.ticket
 
-    def first_turn(self, draws: TensorDictBase, active: torch.Tensor) -> dict[str, torch.Tensor]:
+    def first_turn(self, draws: TensorDictBase, active: Tensor) -> dict[str, Tensor]:
         """Draws users and their first turn. Returns entries of the state.
 
         The first turn is a request that also informs the opening slots.
@@ -62,12 +63,8 @@ class User(Movable):
         }
 
     def reply(
-        self,
-        state: TensorDictBase,
-        agent: AgentTurn,
-        is_over: torch.Tensor,
-        draws: TensorDictBase,
-    ) -> dict[str, torch.Tensor]:
+        self, state: TensorDictBase, agent: AgentTurn, is_over: Tensor, draws: TensorDictBase
+    ) -> dict[str, Tensor]:
         """Returns the users' reply to the agent's act, as the changed entries of the state.
 
         Args:
@@ -80,10 +77,10 @@ class User(Movable):
         is_constraint = constraints != NONE
         is_slot, listens = agent.is_slot, ~is_over
 
-        def of_slot(values: torch.Tensor) -> torch.Tensor:
+        def of_slot(values: Tensor) -> Tensor:
             return values.gather(-1, agent.slot[..., None]).squeeze(-1)
 
-        def at_slot(is_so: torch.Tensor) -> torch.Tensor:
+        def at_slot(is_so: Tensor) -> Tensor:
             return is_slot & is_so[..., None]
 
         # The transmitted values, errors included, enter the history now.
@@ -182,8 +179,8 @@ class MixedUser(User):
         self._mix = mix
 
     def first_turn(
-        self, draws: TensorDictBase, active: torch.Tensor
-    ) -> dict[str, torch.Tensor | TensorDictBase]:
+        self, draws: TensorDictBase, active: Tensor
+    ) -> dict[str, Tensor | TensorDictBase]:
         """Draws users, their traits and their first turn; see :meth:`User.first_turn`."""
         first = super().first_turn(draws, active)
         traits = self._mix.traits(draws, first["goal_id"], active)
@@ -197,17 +194,13 @@ class MixedUser(User):
         }
 
     def reply(
-        self,
-        state: TensorDictBase,
-        agent: AgentTurn,
-        is_over: torch.Tensor,
-        draws: TensorDictBase,
-    ) -> dict[str, torch.Tensor | TensorDictBase]:
+        self, state: TensorDictBase, agent: AgentTurn, is_over: Tensor, draws: TensorDictBase
+    ) -> dict[str, Tensor | TensorDictBase]:
         """Returns the users' reply; see :meth:`User.reply`."""
         traits, acts = state["traits"], self._act
         listens = ~(is_over | agent.is_end)
 
-        def column(flags: torch.Tensor) -> torch.Tensor:
+        def column(flags: Tensor) -> Tensor:
             return (flags & listens)[..., None]
 
         # A change of mind comes first: the reply is to the new goal.
@@ -284,12 +277,12 @@ class MixedUser(User):
     @staticmethod
     def _tell(
         traits: TensorDictBase,
-        constraints: torch.Tensor,
-        informs: torch.Tensor,
-        agenda: torch.Tensor,
-        is_first: torch.Tensor,
-        tells: torch.Tensor,
-    ) -> dict[str, torch.Tensor]:
+        constraints: Tensor,
+        informs: Tensor,
+        agenda: Tensor,
+        is_first: Tensor,
+        tells: Tensor,
+    ) -> dict[str, Tensor]:
         """Tells as many constraints as users with these traits do. Returns entries of the state.
 
         Args:
