@@ -1,7 +1,5 @@
 """The configurations of command lines."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from dataclasses import asdict

@@ -1,7 +1,5 @@
 """The default of a key equals that of the part's argument it sets."""
 
-from __future__ import annotations
-
 from dataclasses import MISSING, fields
 from inspect import Parameter, signature
 

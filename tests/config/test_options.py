@@ -1,7 +1,5 @@
 """The registry of options: accepted options, and refusals of others."""
 
-from __future__ import annotations
-
 import json
 import re
 import sys

@@ -1,7 +1,5 @@
 """YAML from users: loaded as plain values, or refused at once in a sentence."""
 
-from __future__ import annotations
-
 import pytest
 import yaml
 
