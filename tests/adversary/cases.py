@@ -5,8 +5,6 @@ Environment variables set the counts, ``BBQ_KILLS`` (10), ``BBQ_DAMAGES`` (50) a
 and choices. By default every run has a new seed, which is printed when a test fails.
 """
 
-from __future__ import annotations
-
 import os
 import time
 

@@ -4,8 +4,6 @@ A row of the table ``bad_input.yaml`` has the command, the damage to its folder,
 message: a key, a file or a value. One row of each rule is tested daily, all rows nightly.
 """
 
-from __future__ import annotations
-
 import importlib
 import re
 import shlex

@@ -1,7 +1,5 @@
 """Damaged checkpoints: they run no code, show no traceback, and never load other weights."""
 
-from __future__ import annotations
-
 import json
 import shutil
 

@@ -1,7 +1,5 @@
 """A full or read-only disk ends a run with a sentence, and the run can be resumed later."""
 
-from __future__ import annotations
-
 import shlex
 import shutil
 import subprocess

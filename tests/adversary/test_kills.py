@@ -1,7 +1,5 @@
 """Trainings killed repeatedly at any moment end like undisturbed ones."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import signal

@@ -1,7 +1,5 @@
 """Unwritable standard output and standard error: no traceback, the right exit code."""
 
-from __future__ import annotations
-
 import os
 import subprocess
 import sys

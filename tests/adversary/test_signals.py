@@ -1,7 +1,5 @@
 """Ctrl-C and SIGTERM at any moment: one line, the right exit code, and a resumable run."""
 
-from __future__ import annotations
-
 import os
 import re
 import signal

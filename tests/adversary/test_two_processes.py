@@ -1,13 +1,11 @@
 """Two processes on one run folder: one works, the other is refused in a line, nothing is lost."""
 
-from __future__ import annotations
-
 import re
 import signal
 
 import pytest
 
-from .cases import CONFIGURATIONS, TINY
+from .cases import CONFIGURATIONS
 from .folders import assert_same
 
 pytestmark = pytest.mark.slow
@@ -101,30 +99,4 @@ def test_of_two_that_start_at_once_one_works(commands, references, place, record
     # The second one may have started after the first one's end.
     assert any(text in ends[1].line for text in (BUSY, "already holds a run", "is finished"))
     assert_same(place, reference.folder)
-    record_property(TWO, 1)
-
-
-@pytest.mark.parametrize("program", ["sweep", "search"])
-def test_a_run_of_a_sweep_or_a_search_is_not_resumed_beside_it(
-    commands, place, record_property, program
-):
-    keys = (*TINY, "protocol.rounds=8", "protocol.eval_every=0")
-    if program == "sweep":
-        start = ("--multirun", "hydra/launcher=basic", "agent=dqn", f"hydra.sweep.dir={place}")
-        command = commands.start("train", *start, *keys)
-        found = "0_dqn*/metrics.csv"
-    else:
-        pytest.importorskip("optuna", reason="needs the extra search")
-        start = ("search=dqn", "search.trials=1", f"search.folder={place}")
-        command = commands.start("search", *start, *keys)
-        found = "trial_0000/metrics.csv"
-    command.until(lambda: list(place.glob(found)))
-    command.send(signal.SIGSTOP)
-    (metrics,) = place.glob(found)
-
-    ended = commands.run("train", f"resume={metrics.parent}", code=2)
-
-    assert BUSY in ended.line
-    command.send(signal.SIGCONT)
-    assert command.end().code == 0
     record_property(TWO, 1)

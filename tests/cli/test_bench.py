@@ -1,7 +1,5 @@
 """``bbq bench``: cells in order, the page and its data, what is missing, and equal bytes."""
 
-from __future__ import annotations
-
 import csv
 import json
 import math

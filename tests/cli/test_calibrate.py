@@ -1,7 +1,5 @@
 """The command that finds how many errors make a domain how difficult."""
 
-from __future__ import annotations
-
 import re
 import shutil
 

@@ -1,7 +1,5 @@
 """A signal that ends a command at once takes the sweep's workers with it."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

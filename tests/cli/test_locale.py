@@ -1,7 +1,5 @@
 """Commands in folders whose names are not UTF-8: by the locale, or since they are no text."""
 
-from __future__ import annotations
-
 import os
 import shutil
 import subprocess

@@ -1,7 +1,5 @@
 """Output that cannot be printed; tests/adversary/test_output.py has the whole commands."""
 
-from __future__ import annotations
-
 import os
 import sys
 

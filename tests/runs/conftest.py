@@ -1,7 +1,5 @@
 """Runs that the tests of run folders share."""
 
-from __future__ import annotations
-
 import shutil
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Every agent with every exploration: trains, resumes and evaluates."""
 
-from __future__ import annotations
-
 import dataclasses
 from itertools import cycle, product
 

@@ -1,7 +1,5 @@
 """The commit that a run says it was made by."""
 
-from __future__ import annotations
-
 import subprocess
 
 import pytest
@@ -46,19 +44,15 @@ def test_a_checkout_has_a_commit_and_is_clean_until_something_changes(package):
     assert checkout(package) == Checkout(after, clean=False)
 
 
-def test_what_is_installed_below_the_checkout_of_another_project_has_none(package, tmp_path):
+def test_code_outside_a_checkout_of_its_own_has_no_commit(package, tmp_path):
     installed = package.parent / "venv" / "package"
-    installed.mkdir(parents=True)
-    (installed / "__init__.py").touch()
-    assert checkout(installed) == Checkout(None, None)
-    assert checkout(tmp_path) == Checkout(None, None)
-
-
-def test_a_checkout_without_a_commit_has_none(tmp_path):
-    git(tmp_path, "init")
-    (tmp_path / "__init__.py").touch()
-    git(tmp_path, "add", ".")
-    assert checkout(tmp_path) == Checkout(None, None)
+    new = tmp_path / "without a commit"
+    for folder in (installed, new):
+        folder.mkdir(parents=True)
+        (folder / "__init__.py").touch()
+    git(new, "init")
+    git(new, "add", ".")
+    assert [checkout(folder) for folder in (installed, new, tmp_path)] == [Checkout(None, None)] * 3
 
 
 def test_nothing_fails_without_git(package, monkeypatch):

@@ -4,14 +4,14 @@ Training runs in children of this process; processes of their own are in the slo
 ``test_launchers.py``, ``test_values.py`` and ``tests/adversary``.
 """
 
-from __future__ import annotations
-
 import json
 import shutil
+from pathlib import Path
 
 import forked
 import pytest
 import torch
+from hydra.experimental.callback import Callback
 from tiny import TINY, rows
 
 from bbq_torchrl import load_run
@@ -118,11 +118,19 @@ def test_a_scripted_policy_is_evaluated_and_its_dialogues_are_written(
     assert log.count("  success\n") + log.count("  failure\n") == 4
 
 
+class KeepReturned(Callback):
+    """Keeps what ``train.py`` returns, as a sweeper gets it."""
+
+    def on_job_end(self, config, job_return, **_):
+        folder = Path(config.hydra.runtime.output_dir)
+        (folder / "returned.txt").write_text(repr(job_return.return_value))
+
+
 def test_a_sweep_trains_each_agent_with_its_own_exploration_and_goes_on(tmp_path):
     sweep = (  # the default launcher is tested, slowly, in test_launchers.py
         "--multirun hydra/launcher=basic agent=bbqn,dqn agent.lr=.01,-1",
         *(*SMALL, "protocol.rounds=1"),
-        "+hydra.callbacks.keep._target_=runs.returned.KeepReturned",
+        "+hydra.callbacks.keep._target_=runs.test_commands.KeepReturned",
         *(f"hydra.sweep.dir={tmp_path / 'sweep'}", "hydra.sweep.subdir=${hydra.job.num}"),
     )
     folders = [tmp_path / "sweep" / job for job in ("0", "2")]

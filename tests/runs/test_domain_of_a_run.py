@@ -1,7 +1,5 @@
 """The domain of a run, as its readers are told."""
 
-from __future__ import annotations
-
 import json
 import logging
 import pickle

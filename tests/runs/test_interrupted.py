@@ -1,7 +1,5 @@
 """Signals, killed runs and extensions: what was saved goes on."""
 
-from __future__ import annotations
-
 import json
 import os
 import signal

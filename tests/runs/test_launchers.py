@@ -1,7 +1,5 @@
 """Sweeps and searches as a person types them, on every engine that can run on one machine."""
 
-from __future__ import annotations
-
 import importlib.util
 
 import forked

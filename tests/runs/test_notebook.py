@@ -1,7 +1,5 @@
 """A training from Python: twice in a process, beside another Hydra, refused by exceptions."""
 
-from __future__ import annotations
-
 import json
 import logging
 import os

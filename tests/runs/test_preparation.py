@@ -1,7 +1,5 @@
 """Checks of a run before its folder exists, and the choice of the folder."""
 
-from __future__ import annotations
-
 import pytest
 from prepared import prepared
 

@@ -1,7 +1,5 @@
 """A sweep on a Ray cluster of two nodes on this machine, one of which is killed."""
 
-from __future__ import annotations
-
 import importlib.util
 import os
 import subprocess

@@ -1,7 +1,5 @@
 """Agents that come with the package load as runs do, and are what was trained."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 import yaml

@@ -1,7 +1,5 @@
 """A run folder: no code is run from it, one process writes it, and what is wrong is a sentence."""
 
-from __future__ import annotations
-
 import fcntl
 import io
 import json

@@ -1,7 +1,5 @@
 """Several values in one run: each replica trains as in a run in which all have its value."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

@@ -1,7 +1,5 @@
 """Files and functions that a training enters before its first gradient step."""
 
-from __future__ import annotations
-
 import json
 import re
 

@@ -1,7 +1,5 @@
 """Tiny runs whose folders are damaged, copied and gone on with."""
 
-from __future__ import annotations
-
 import prepared
 from tiny import TINY
 

@@ -1,7 +1,5 @@
 """Trials on a made-up training: what is kept, what goes on, what is pruned, what is written."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 import errno

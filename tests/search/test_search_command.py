@@ -1,7 +1,5 @@
 """The command of a search on real trainings, shrunk to seconds."""
 
-from __future__ import annotations
-
 import os
 import sqlite3
 from pathlib import Path
