@@ -6,14 +6,12 @@ process died is retried: it continues from its last checkpoint, in the same fold
 
 from __future__ import annotations
 
-import csv
 import logging
 import math
 import shlex
 import time
 import warnings
 from collections import Counter
-from io import StringIO
 from typing import TYPE_CHECKING, Any
 
 import optuna
@@ -29,7 +27,7 @@ from bbq_torchrl.runs.folders import is_finished, refuse_links, restarted_config
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import TrainingError, derive_seed
 from bbq_torchrl.utils.extras import sqlite_url
-from bbq_torchrl.utils.files import write_text
+from bbq_torchrl.utils.reports import Table
 from bbq_torchrl.utils.statistics import interquartile_mean
 from bbq_torchrl.utils.text import sentence
 
@@ -304,20 +302,15 @@ def write_tables(search: Search, study: optuna.Study) -> None:
         {
             "trial": trial.user_attrs[_NUMBER],
             "state": trial.state.name.lower(),
-            "value": "" if trial.values is None else trial.value,
+            "value": None if trial.values is None else trial.value,
             **{key: trial.params.get(key, "") for key in search.space},
             "rounds": len(trial.intermediate_values),
-            "seconds": "" if trial.duration is None else round(trial.duration.total_seconds(), 1),
+            "seconds": trial.duration and round(trial.duration.total_seconds(), 1),
             "folder": _folder_name(trial.user_attrs[_NUMBER]),
             "reason": trial.user_attrs.get(_REASON, ""),
         }
         for trial in sorted(_ended(study), key=lambda trial: trial.user_attrs[_NUMBER])
     ]
-    if rows:
-        text = StringIO()
-        writer = csv.DictWriter(text, list(rows[0]))
-        writer.writeheader()
-        writer.writerows(rows)
-        write_text(search.folder / "trials.csv", text.getvalue())
+    Table("trials", rows).write(search.folder)
     if (best := best_trial(search, study)) is not None:
         write_json(best, search.folder / "best.json")
