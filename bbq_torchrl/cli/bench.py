@@ -36,7 +36,7 @@ if TYPE_CHECKING:
 
 _LOG = logging.getLogger(__name__)
 
-DOMAINS = ("movie", "hotel", "restaurant", "miulab")
+DOMAINS = ("movie", "hotel", "restaurant")
 ERRORS = ("0", "reference", "0.2")
 BUDGETS = (500, 1_000, 2_000, 7_500)
 SEEDS = 10
@@ -151,7 +151,7 @@ def _parser() -> output.Parser:
         nargs="+",
         default=list(DOMAINS),
         help="options of domain=, with their folder if they need one: miulab=<folder>, "
-        "folder=<domain folder>; default: %(default)s (miulab only with its folder)",
+        "folder=<domain folder>; default: %(default)s",
     )
     parser.add_argument(
         "--errors",
@@ -214,8 +214,6 @@ def _domains(given: Sequence[str]) -> dict[str, list[str]]:
     domains: dict[str, list[str]] = {}
     for text in given:
         option, has_path, path = text.partition("=")
-        if option == "miulab" and not has_path and list(given) == list(DOMAINS):
-            continue
         name = Path(path).resolve().name if option == "folder" else option
         if name in domains:
             raise ConfigError(f"--domains must have distinct names, got {name} twice")

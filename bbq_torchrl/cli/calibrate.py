@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import sys
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains import importing
 from bbq_torchrl.options import CalibrateConfig
@@ -18,7 +18,7 @@ from bbq_torchrl.runs.compose import compose, take_config_dir
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.output import page
-from bbq_torchrl.utils.text import shown
+from bbq_torchrl.utils.text import as_typed, shown
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -45,22 +45,6 @@ _PRECISION = 5e-5
 _STEP = 0.02  # difference of probabilities for the slope
 
 
-class Calibration(NamedTuple):
-    """A calibrated error probability.
-
-    Attributes:
-        slot_error_prob: the probability, to four decimals.
-        error: its standard error: that of the success rates divided by the slope.
-        success_rate: success at that probability, with users not used in the search.
-        success_error: standard error of that rate.
-    """
-
-    slot_error_prob: float
-    error: float
-    success_rate: float
-    success_error: float
-
-
 @output.refusing
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code."""
@@ -75,21 +59,28 @@ def main(arguments: Sequence[str] | None = None) -> int:
         raise ConfigError(f"the command must be calibrate or import, got {shown(arguments[0])}")
     arguments = take_config_dir(arguments)
     config = compose(arguments[1:], CalibrateConfig)
-    found = calibrate(config, output.print_error)
+    probability, error, rate, rate_error = calibrate(config, output.print_error)
     output.write(
-        f"reference_slot_error_prob: {found.slot_error_prob:g}"
-        f"  # ± {found.error:.4f}; {config.policy} succeeds in {found.success_rate:.4f} ± "
-        f"{found.success_error:.4f} of {config.dialogues} dialogues\n"
+        f"reference_slot_error_prob: {probability:g}"
+        f"  # ± {error:.4f}; {config.policy} succeeds in {rate:.4f} ± "
+        f"{rate_error:.4f} of {config.dialogues} dialogues\n"
     )
     return 0
 
 
-def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibration:
+def calibrate(
+    config: CalibrateConfig, tell: Callable[[str], object]
+) -> tuple[float, float, float, float]:
     """Finds the slot error probability.
 
     Args:
         config: domain, policy and the success rate to reach.
         tell: called with a line for every probability that is tried.
+
+    Returns:
+        The probability, to four decimals; its standard error, that of the success rates divided by
+        the slope; the success at that probability, with users not used in the search; and the
+        standard error of that rate.
 
     Raises:
         ConfigError: no probability gives that success rate, or the domain lacks the policy.
@@ -110,16 +101,10 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
             f"env must be one of full, domain_ext, whose error level can be set, got "
             f"{option.name!r}"
         )
-    if option.level != "act" or option.errors != "drawn":
-        raise ConfigError(
-            f"env.level must be act and env.errors drawn, whose probability is calibrated, got "
-            f"{option.level!r} and {option.errors!r}"
-        )
-    if option.slot_error_prob is not None:
-        raise ConfigError(
-            "env.slot_error_prob must be null, as the command finds it, got "
-            f"{option.slot_error_prob}"
-        )
+    for key, needed in {"level": "act", "errors": "drawn", "slot_error_prob": None}.items():
+        if (given := getattr(option, key)) != needed:
+            wanted = as_typed(needed)
+            raise ConfigError(f"env.{key} must be {wanted} in a calibration, got {given!r}")
     check_device(config.device)
     set_up_process(config.threads)
     domain = config.domain.make()
@@ -157,4 +142,4 @@ def calibrate(config: CalibrateConfig, tell: Callable[[str], object]) -> Calibra
     rate = success(probability, other)
     slope = abs(success(aside, other) - rate) / _STEP
     uncertain = error(config.success) / slope if slope else float("inf")
-    return Calibration(probability, uncertain, rate, error(rate))
+    return probability, uncertain, rate, error(rate)
