@@ -58,12 +58,14 @@ class Allowed:
     per_replica: bool = False
 
     def fault(self, name: str, value: Any) -> str | None:
-        """Returns the sentence on a value that is not allowed, and ``None`` for one that is.
+        """Returns the sentence on a value that is missing or not allowed; None for others.
 
         Examples:
             >>> BOOLEAN.fault("masked", 1)
             'masked must be true or false, got 1'
         """
+        if isinstance(value, str) and value == REQUIRED:
+            return f"{name} must be given: it must be {self.text}"
         return None if self.test(value) else f"{name} must be {self.text}, got {shown(value)}"
 
 
@@ -259,7 +261,7 @@ def check_values(config: Any, prefix: str = "") -> None:
         ConfigError: the value of a key is not allowed.
     """
     for key, item, value in walk(config, prefix):
-        if fault := _fault(key, item, value):
+        if fault := item.metadata["allowed"].fault(key, value):
             raise ConfigError(fault)
 
 
@@ -291,7 +293,8 @@ def faults(schema: type, given: Mapping[Any, Any], prefix: str = "") -> dict[Any
     for key, item in known.items():
         default = None if item.default is MISSING else item.default
         if key in given or default == REQUIRED:
-            fault = _fault(f"{prefix}{key}", item, given.get(key, default))
+            allowed: Allowed = item.metadata["allowed"]
+            fault = allowed.fault(f"{prefix}{key}", given.get(key, default))
             found |= {key: fault} if fault else {}
     return found
 
@@ -310,10 +313,3 @@ def filled(schema: type[Schema], given: Mapping[str, Any], prefix: str = "") -> 
     for fault in faults(schema, given, prefix).values():
         raise ConfigError(fault)
     return schema(**given)
-
-
-def _fault(key: str, item: Field[Any], value: Any) -> str | None:
-    allowed: Allowed = item.metadata["allowed"]
-    if value == REQUIRED:
-        return f"{key} must be given: it must be {allowed.text}"
-    return allowed.fault(key, value)

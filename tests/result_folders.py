@@ -85,6 +85,7 @@ def make_run(
         "agent": {"name": agent, "lr": 0.001, **keys, **agent_keys},
         "explore": {"name": explore}
         | ({"eps_init": 0.1} if explore == "epsilon_greedy" else {"per": "step"}),
+        "intrinsic": {"name": "none"},
         "env": {"name": "full", "max_turn": 40},
         "domain": {"name": "movie"},
         "spike": {"name": "rule", "dialogues": 100, "protect": True},

@@ -13,7 +13,7 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.evaluation.curves import FIRST, LEVEL, rounds_to_reach
+from bbq_torchrl.evaluation.curves import FIRST, LEVEL
 from bbq_torchrl.evaluation.figures import draw_comparison
 from bbq_torchrl.evaluation.finished_runs import find_runs
 from bbq_torchrl.evaluation.groups import (
@@ -106,9 +106,7 @@ def runs_report(groups: Sequence[Group], by: str | None = None) -> Report:
     curves = partial(draw_comparison, sections, title=title, references=references(groups))
     success = partial(draw_intervals, intervals, title="Final success")
     figures = {"curves": (title, curves), "success": ("Final success by group", success)}
-    return Report(
-        "report", title, [*parts, NOTE, _commits(groups)], figures, [_replicas_table(groups)]
-    )
+    return Report("report", title, [*parts, NOTE], figures, [_replicas_table(groups)])
 
 
 def _sections(groups: Sequence[Group], by: str) -> dict[str, list[Group]]:
@@ -159,27 +157,16 @@ def pair_parts(groups: Sequence[Group], name: str = "pairs") -> list[str | Table
     }
     rows: list[dict[str, object]] = []
     remarks = []
-    for place, item in enumerate(compared):
-        row: dict[str, object] = {f"minus {first.label}": item.one.label, "pairs": item.pairs}
+    for place, (other, item) in enumerate(zip(others, compared, strict=True)):
+        row: dict[str, object] = {f"minus {first.label}": other.label, "pairs": item.pairs}
         for quantity, column in COLUMNS.items():
             values = item.differences.get(quantity)
             row[column] = difference(values) if values else EMPTY
             row[f"{column}: p"] = p_values[quantity][place] if values else EMPTY
         rows.append(row)
         if item.different:
-            remarks.append(f"{item.one.label}: other dialogues, by {', '.join(item.different)}.")
+            remarks.append(f"{other.label}: other dialogues, by {', '.join(item.different)}.")
     return [Table(name, rows), *remarks]
-
-
-def _commits(groups: Sequence[Group]) -> str:
-    """Returns the commits of the runs, as text; empty if none is recorded."""
-    together: dict[str, list[str]] = {}
-    for group in groups:
-        together.setdefault(" and ".join(group.commits), []).append(group.label)
-    if {*together} == {"unknown"}:
-        return ""
-    lines = [f"- {commit}: {'; '.join(labels)}" for commit, labels in together.items()]
-    return "\n".join(["Commits of the code:\n", *lines])
 
 
 def _replicas_table(groups: Sequence[Group]) -> Table:
@@ -197,13 +184,10 @@ def _replicas_table(groups: Sequence[Group]) -> Table:
             "reward": replica.own.reward,
             "turns": replica.own.turns,
             "cumulative_success": replica.own.training_success,
-            "rounds_to_60": float(reached),
             "commit": replica.result.code,
         }
         for group in groups
-        for replica, reached in zip(
-            group.replicas, rounds_to_reach(group.success, 0.6), strict=True
-        )
+        for replica in group.replicas
     ]
     return Table("replicas", rows)
 

@@ -12,6 +12,7 @@ import numpy as np
 from scipy import integrate
 
 from bbq_torchrl.utils.files import METRICS
+from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -33,7 +34,8 @@ class Metrics:
         replicas: number of replicas.
 
     Raises:
-        ValueError: no complete round, rows that are not in order, or a missing column or number.
+        ValueError: no complete round, rows that are not in order, or a missing number.
+        KeyError: a missing column.
     """
 
     def __init__(self, rows: Sequence[Mapping[str, float]]) -> None:
@@ -42,8 +44,6 @@ class Metrics:
         if self.rounds == 0:
             raise ValueError("it has no complete round")
         complete = rows[: self.rounds * self.replicas]
-        if missing := [name for name in _NEEDED if name not in rows[0]]:
-            raise ValueError(f"it must have the column {missing[0]}, got {', '.join(rows[0])}")
         table = np.array([[*row.values()] for row in complete], dtype=float)
         table = table.reshape(self.rounds, self.replicas, -1)
         self.columns = {name: table[..., place] for place, name in enumerate(rows[0])}
@@ -80,8 +80,8 @@ def read_metrics(folder: Path) -> Metrics:
         complete, *_ = file.read_text(encoding="utf-8-sig").rpartition("\n")
         rows = csv.DictReader(complete.splitlines(), restval="?")  # a missing cell is no number
         return Metrics([numbers(row) for row in rows])
-    except (ValueError, TypeError) as error:
-        raise ValueError(f"{file} is damaged: {error}") from error
+    except (ValueError, TypeError, KeyError) as error:
+        raise ValueError(f"{file} is damaged: {sentence(error)}") from error
 
 
 def numbers(row: Mapping[str, str]) -> dict[str, float]:

@@ -82,7 +82,10 @@ def draw_run(
             explored = f"training, with exploration (mean of {WINDOW} rounds)" if is_first else ""
             axes.plot(training, color=color, lw=1, alpha=0.4, label=explored)
             evaluated = f"{group.label} ({_seeds(group)}, evaluated){ending}"
-            _draw_evaluated(axes, group.evaluation, color, "o-", label=evaluated)
+            (rounds,) = np.isfinite(group.evaluation[:, 0]).nonzero()
+            # The evaluated agent has learned from the round, so it is drawn at the round's end.
+            rates = group.evaluation[rounds]
+            _draw_seeds(axes, rounds + 1, rates, color, "o-", label=evaluated)
         axes.plot([end] * len(group.final), group.final, "o", ms=5, color=final)
         axes.axhline(mean, color=final, lw=1, ls="--", label=label)
     if spiked is not None:
@@ -177,14 +180,6 @@ def _draw_training(
     _draw_seeds(axes, rounds, smooth, color, "-", band=band, thin=thin, label=label)
 
 
-def _draw_evaluated(
-    axes: Any, rates: Any, color: Any, line: str, *, band: bool = False, label: str | None = None
-) -> None:
-    (rounds,) = np.isfinite(rates[:, 0]).nonzero()
-    # The evaluated agent has learned from the round, so it is drawn at the round's end.
-    _draw_seeds(axes, rounds + 1, rates[rounds], color, line, band=band, label=label)
-
-
 def _draw_seeds(
     axes: Any,
     rounds: Any,
@@ -192,9 +187,9 @@ def _draw_seeds(
     color: str,
     line: str,
     *,
-    band: bool,
+    label: str,
+    band: bool = False,
     thin: Any = None,
-    label: str | None = None,
 ) -> None:
     """Draws values [rounds, seeds]: each seed (``thin`` if given), the mean, and its interval."""
     axes.plot(rounds, values if thin is None else thin, color=color, lw=0.7, alpha=0.35)

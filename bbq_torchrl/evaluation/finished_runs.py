@@ -145,7 +145,7 @@ def find_runs(places: Iterable[Path]) -> tuple[list[Path], list[Path]]:
             file = found[folder]
             if file.name == RUNS or (file.name == RESULT and not _is_extended(folder)):
                 finished[folder] = None
-            elif file.name != CONFIG or _is_of_a_run(file):
+            elif file.name != CONFIG or _rounds(file) is not None:
                 unfinished[folder] = None
         if not found.keys() & {*finished, *unfinished}:
             raise ValueError(f"{place} holds no run")
@@ -154,26 +154,19 @@ def find_runs(places: Iterable[Path]) -> tuple[list[Path], list[Path]]:
     return [*finished], [*unfinished]
 
 
-def _is_of_a_run(file: Path) -> bool:
-    """Returns whether a configuration belongs to a training, not to another program."""
-    config = _readable(file)
-    return isinstance(config, dict) and {"agent", "protocol"} <= config.keys()
-
-
 def _is_extended(folder: Path) -> bool:
     """Returns whether a run was extended beyond its result; False for a damaged file."""
     try:
-        rounds = _readable(folder / CONFIG)["protocol"]["rounds"]
-        return bool(read_result(folder).rounds < rounds)
-    except (ValueError, TypeError, LookupError):
+        return bool(read_result(folder).rounds < _rounds(folder / CONFIG))
+    except (ValueError, TypeError):
         return False
 
 
-def _readable(file: Path) -> Any:
-    """Returns the content of a YAML file; None if it cannot be read."""
+def _rounds(file: Path) -> Any:
+    """Returns the rounds of a configuration; None if it is not a training's, or damaged."""
     try:
-        return read_yaml(file.read_text(encoding="utf-8"))
-    except (OSError, ValueError):
+        return read_yaml(file.read_text(encoding="utf-8"))["protocol"]["rounds"]
+    except (OSError, ValueError, TypeError, LookupError):
         return None
 
 
@@ -195,7 +188,7 @@ def read_runs(folder: Path) -> list[Replica]:
         raise ValueError(f"{folder / CONFIG} cannot be read: {sentence(error)}") from error
     if not isinstance(config, dict) or not all(
         isinstance(config.get(group), dict) and "name" in config[group]
-        for group in ("agent", "explore")
+        for group in ("agent", "explore", "intrinsic")
     ):
         raise ValueError(f"{folder / CONFIG} is not the configuration of a run")
     return [*_replicas(folder, config, result, metrics)]
@@ -254,41 +247,26 @@ def agent_name(config: Mapping[str, Any]) -> str:
     capitals.
 
     Args:
-        config: the composed configuration, nested mappings; groups unknown to older versions may be
-            absent.
+        config: the composed configuration, nested mappings.
 
     Examples:
-        >>> agent_name({"agent": {"name": "dqn"}, "explore": {"name": "boltzmann"}})
-        'DQN-Boltzmann'
-        >>> bbqn = {"agent": {"name": "bbqn", "target": "mc"}, "explore": {"name": "thompson"}}
-        >>> agent_name(bbqn | {"intrinsic": {"name": "vime", "weights": "mc"}})
+        >>> bbqn, thompson = {"name": "bbqn", "target": "mc"}, {"name": "thompson"}
+        >>> vime = {"name": "vime", "weights": "mc"}
+        >>> agent_name({"agent": bbqn, "explore": thompson, "intrinsic": vime})
         'BBQN-VIME-MC'
-        >>> bbqn["explore"]["name"], bbqn["agent"]["target"] = "thompson_boltzmann", "map"
-        >>> agent_name(bbqn)
-        'Soft BBQN-MAP'
-        >>> agent_name({"agent": {"name": "polyak"}, "intrinsic": {"name": "visits"}})
-        'POLYAK-VISITS'
     """
-    option, intrinsic = str(config["agent"]["name"]), config.get("intrinsic") or {}
-    is_known = option in _OF_THE_PAPER
-    agent, explore = (config["agent"], config.get("explore") or {}) if is_known else ({}, {})
-    target = str(agent["target"]).upper() if agent.get("target") else None
-    reward = str(intrinsic.get("name", "none"))
-    gain = str(intrinsic["weights"]).upper() if reward == "vime" else None
-    name = _OF_THE_PAPER.get(option, option.upper())
-    if agent.get("noisy"):
-        name = f"Noisy {name}"
-    if agent.get("double"):
-        name = f"Double {name}"
-    if explore.get("name") == "thompson_boltzmann":
-        name = f"Soft {name}"
-    parts = [name]
-    if explore.get("name") == "boltzmann":
-        parts.append("Boltzmann")
-    if target is not None and target != gain:
-        parts.append(target)
-    if reward != "none":
-        parts.append(reward.upper())
-    if gain is not None:
-        parts.append(gain)
-    return "-".join(parts)
+    agent, explore, intrinsic = (config[group] for group in ("agent", "explore", "intrinsic"))
+    option, reward = agent["name"], intrinsic["name"]
+    gain = intrinsic["weights"].upper() if reward == "vime" else ""
+    parts = [_OF_THE_PAPER.get(option, option.upper())]
+    if option in _OF_THE_PAPER:
+        is_soft = explore["name"] == "thompson_boltzmann"
+        kinds = {"Noisy": agent.get("noisy"), "Double": agent.get("double"), "Soft": is_soft}
+        for kind, is_kind in kinds.items():
+            if is_kind:
+                parts[0] = f"{kind} {parts[0]}"
+        target = agent.get("target", "").upper()
+        is_boltzmann = explore["name"] == "boltzmann"
+        parts += ["Boltzmann" if is_boltzmann else "", target if target != gain else ""]
+    parts += [reward.upper() if reward != "none" else "", gain]
+    return "-".join(filter(None, parts))

@@ -105,11 +105,6 @@ class Group:
         return [replica.member for replica in self.replicas]
 
     @property
-    def commits(self) -> list[str]:
-        """The commits of its runs, each once, as in :attr:`RunResult.code`."""
-        return list(dict.fromkeys(replica.result.code for replica in self.replicas))
-
-    @property
     def round_dialogues(self) -> int:
         """Training dialogues per round and seed."""
         return int(self.replicas[0].metrics["dialogues"][0, 0])
@@ -249,8 +244,6 @@ class Pairing:
     """One group minus another, over replicas of the same seed.
 
     Attributes:
-        one: the minuend.
-        other: the subtrahend.
         pairs: number of replicas with a partner in the other group.
         differences: ``final``, ``cumulative``, ``early`` (the first :data:`EARLY` training
             dialogues, if there are as many) and ``area`` (over the rounds in which both were
@@ -258,8 +251,6 @@ class Pairing:
         different: the keys in which the dialogues differ: ``spike.dialogues (20, 100)``.
     """
 
-    one: Group
-    other: Group
     pairs: int
     differences: Mapping[str, Sequence[float]]
     different: Sequence[str]
@@ -280,7 +271,7 @@ def pair(one: Group, other: Group) -> Pairing:
         if key.startswith(_OF_DIALOGUES) and theirs.get(key, value) != value
     ]
     different = [f"{key} ({ours[key]}, {theirs[key]})" for key in distinguishing_keys(keys)]
-    return Pairing(one, other, len(shared), differences if shared else {}, different)
+    return Pairing(len(shared), differences if shared else {}, different)
 
 
 def _compared(one: Group, other: Group) -> dict[str, tuple[list[float], list[float]]]:

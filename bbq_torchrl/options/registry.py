@@ -172,15 +172,9 @@ def options_folder() -> Path | None:
 
 
 def conf_folder() -> Path:
-    """The folder of the YAML files: ``bbq_torchrl/conf`` in a wheel, else ``conf`` next to it.
-
-    Raises:
-        FileNotFoundError: neither exists.
-    """
-    for folder in (_PACKAGE / "conf", _PACKAGE.parent / "conf"):
-        if (folder / "config.yaml").is_file():
-            return folder
-    raise FileNotFoundError(f"no configuration folder 'conf' in {_PACKAGE} or next to it")
+    """The folder of the YAML files: ``bbq_torchrl/conf`` in a wheel, else ``conf`` next to it."""
+    within = _PACKAGE / "conf"
+    return within if within.is_dir() else _PACKAGE.parent / "conf"
 
 
 def config_folders() -> list[Path]:

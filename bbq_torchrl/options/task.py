@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.settings import ConfigError, Values, walk
 
@@ -117,12 +117,6 @@ def check_env(env: EnvBase, option: str, batch_size: Sequence[int]) -> None:
         )
 
 
-class Replicated(Protocol):
-    """A configuration with replicas."""
-
-    replicas: int
-
-
 def spread(value: Any, replicas: int) -> list[Any]:
     """Returns the value of each replica; neighboring replicas share the values of a shorter list.
 
@@ -141,7 +135,7 @@ def spread(value: Any, replicas: int) -> list[Any]:
     return [item for item in values for _ in range(times)]
 
 
-def replica_values(config: Replicated) -> list[dict[str, float]]:
+def replica_values(config: Any) -> list[dict[str, float]]:
     """Returns, for each replica, its values of the keys with lists, by dotted key."""
     columns = {key: spread(value, config.replicas) for key, value in lists(config)}
     return [
@@ -150,7 +144,7 @@ def replica_values(config: Replicated) -> list[dict[str, float]]:
     ]
 
 
-def lists(config: Replicated) -> Iterator[tuple[str, list[Any]]]:
+def lists(config: Any) -> Iterator[tuple[str, list[Any]]]:
     """Yields (dotted key, values) of the keys whose values differ between replicas."""
     for key, item, value in walk(config):
         if isinstance(value, list) and item.metadata["allowed"].per_replica:

@@ -74,6 +74,7 @@ def settings_of(group, *keys):
 CONFIGS = st.tuples(
     settings_of("agent", "lr", "hidden"),
     settings_of("explore", "per", "shared"),
+    settings_of("intrinsic"),
     settings_of("env", "start"),
     settings_of("protocol", "batch"),
 ).map(dict)
@@ -138,12 +139,11 @@ def test_references_are_drawn_where_all_runs_have_the_same_users(add):
         # a target and a gain that differ are both named
         ({"name": "bbqn", "target": "mc"}, {"name": "vime", "weights": "map"}, "BBQN-MC-VIME-MAP"),
         # keys of options of one's own are no part of a name
-        ({"name": "polyak", "target": 0.005, "noisy": 0.1}, {}, "POLYAK"),
+        ({"name": "polyak", "target": 0.005, "noisy": 0.1}, {"name": "none"}, "POLYAK"),
         ({"name": "lnq"}, {"name": "vime", "weights": "mc"}, "LNQ-VIME-MC"),
         ({"name": "bbqn", "target": "mc"}, {"name": "novelty", "weights": "mc"}, "BBQN-MC-NOVELTY"),
     ],
 )
 def test_an_agent_is_named_by_the_keys_that_the_paper_has(agent, others, name):
-    intrinsic = {"intrinsic": others} if others else {}
-    explore = {"explore": {"name": "boltzmann"}} if name == "POLYAK" else {}
-    assert agent_name({"agent": agent} | intrinsic | explore) == name
+    explore = {"name": "boltzmann" if name == "POLYAK" else "thompson"}
+    assert agent_name({"agent": agent, "explore": explore, "intrinsic": others}) == name

@@ -120,7 +120,7 @@ def test_a_report_is_printed_and_written_in_sections_of_a_key(add, report, tmp_p
                 "turns": "8.0",
                 "cumulative_success": "0.35",
             },
-            **{"updates": "", "rounds_to_60": "", "commit": "unknown"},
+            **{"updates": "", "commit": "unknown"},
         }.items()
     )
     assert "env.names" in report("--by", "env.names", code=2)
@@ -147,13 +147,12 @@ def test_a_run_that_is_not_finished_is_named_and_breaks_no_report(add, report, s
     assert "| BBQN-MAP | thompson | 5 |" in text
 
 
-def test_a_report_says_which_commits_the_runs_are_of(add, report):
-    one, other = "c33954a" + 33 * "0", "5b76220" + 33 * "1"
-    runs = [add(GOOD), add(GOOD, seed=1), add(BAD, agent="dqn")]
-    assert "c33954a" not in report()
-    for folder, commit in zip(runs, (one, None, other), strict=True):
-        file = folder / "result.json"
-        of_commit = {"commit": commit, "clean": commit == one}
+def test_the_table_of_replicas_says_which_commit_a_run_is_of(add, report, tmp_path):
+    commits = "c33954a" + 33 * "0", None, "5b76220" + 33 * "1"
+    for seed, commit in enumerate(commits):
+        file = add([0.5], seed=seed) / "result.json"
+        of_commit = {"commit": commit, "clean": seed == 0}
         file.write_text(json.dumps(json.loads(file.read_text()) | of_commit))
-    text = report()
-    assert text.endswith("- c33954a and unknown: BBQN-MAP\n- 5b76220 (changed): DQN\n")
+    report("--out", str(tmp_path))
+    found = [row["commit"] for row in rows(tmp_path / "replicas.csv")]
+    assert found == ["c33954a", "unknown", "5b76220 (changed)"]
