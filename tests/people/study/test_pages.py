@@ -196,12 +196,6 @@ def test_the_researcher_sees_progress_and_beliefs_turn_by_turn(site):
     assert "Your goal" not in turn
     ratings = [f"<dt>{scale}</dt><dd>4 of 5</dd>" for scale in SCALES]
     person = ("The person's goal", "<dt>own verdict</dt><dd>yes</dd>", *ratings)
-    for shown in (
-        *person,
-        "inform(city=philly)",
-        "request(city)",
-        "0.562",
-        "1.00 to 1.50",
-        "0.750",
-    ):
+    agent = ("inform(city=philly)", "request(city)", "0.562", "1.00 to 1.50", "0.750")
+    for shown in (*person, *agent):
         assert shown in turn

@@ -13,6 +13,7 @@ import pytest
 from bbq_torchrl.domains.frames import Frame
 from bbq_torchrl.people.study.__main__ import main
 from bbq_torchrl.people.study.database import SCALES
+from bbq_torchrl.people.study.export import export
 from bbq_torchrl.people.study.outcomes import compare_pairs, power, read_outcomes
 from bbq_torchrl.people.study.report import report, write_report
 from bbq_torchrl.people.study.storage import Store
@@ -162,7 +163,7 @@ def test_what_the_agent_repeats_of_a_name_is_replaced_too(fill, tmp_path):
     outcomes = fill([(5, 1)])
     first = outcomes.sessions[0]
     said = replace(first.exchanges[0], answered=Frame("inform", {"city": "my name is Ann"}))
-    write_report(tmp_path, replace(outcomes, sessions=[replace(first, exchanges=[said])]))
+    export(tmp_path, replace(outcomes, sessions=[replace(first, exchanges=[said])]))
     for file in ("exchanges.csv", "sessions.jsonl"):
         text = (tmp_path / file).read_text()
         assert "my name is [name]" in text

@@ -49,9 +49,19 @@ def played(study, folder, talker=None, seed=1):
     return {name: (folder / name).read_text(encoding="utf-8") for name in FILES}
 
 
-def test_everybody_takes_part_and_all_is_called_simulated(study, tmp_path):
-    files = played(study, tmp_path)
-    outcomes = read_outcomes(study.data)
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    return tmp_path_factory.mktemp("simulated")
+
+
+@pytest.fixture(scope="module")
+def whole(loaded, folder):
+    """The files of a simulation that nothing stopped."""
+    return played(loaded, folder)
+
+
+def test_everybody_takes_part_and_all_is_called_simulated(study, whole, folder):
+    files, outcomes = whole, read_outcomes(folder / "study.sqlite")
     assert len(outcomes.sessions) == 2 * study.terms.participants
     for agent in study.terms.agents:
         assert len(outcomes.successes(agent)) == study.terms.participants
@@ -67,7 +77,9 @@ def test_everybody_takes_part_and_all_is_called_simulated(study, tmp_path):
     assert all(json.loads(line)["simulated"] for line in files["sessions.jsonl"].splitlines())
 
 
-def test_a_simulation_that_was_stopped_goes_on_as_if_it_had_not(study, tmp_path, monkeypatch):
+def test_a_simulation_that_was_stopped_goes_on_as_if_it_had_not(
+    study, whole, tmp_path, monkeypatch
+):
     talker = FakeTalker(study.domain)
     for step in ("add_exchange", "rate"):
         own, calls = getattr(Store, step), iter(range(100))
@@ -82,17 +94,16 @@ def test_a_simulation_that_was_stopped_goes_on_as_if_it_had_not(study, tmp_path,
             with pytest.raises(KeyboardInterrupt):
                 played(study, tmp_path / "stopped", talker)
     files = played(study, tmp_path / "stopped", talker)
-    assert files == played(study, tmp_path / "whole")
+    assert files == whole
     assert talker.calls == files["exchanges.csv"].count("\n")  # one was answered twice
 
 
 def test_another_seed_is_another_study_and_neither_goes_on_with_the_other_or_with_people(
-    study, tmp_path
+    study, whole, folder, tmp_path
 ):
-    one = played(study, tmp_path / "one", seed=1)
-    assert played(study, tmp_path / "two", seed=2)["sessions.csv"] != one["sessions.csv"]
+    assert played(study, tmp_path / "two", seed=2)["sessions.csv"] != whole["sessions.csv"]
     with pytest.raises(StoreError, match="it was begun with another seed"):
-        played(study, tmp_path / "one", seed=2)
+        played(study, folder, seed=2)
     Store(study, FakeTalker(study.domain)).close()
     with pytest.raises(StoreError, match="either people or simulated users, not both"):
         played(study, tmp_path)
