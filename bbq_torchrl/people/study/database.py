@@ -80,15 +80,7 @@ BUSY_SECONDS = 5.0
 
 
 class StoreError(StudyError):
-    """Study data that cannot be read or written.
-
-    Args:
-        path: the data file.
-        faults: one or more sentences.
-    """
-
-    def __init__(self, path: Path, *faults: str) -> None:
-        super().__init__(str(path), faults)
+    """Study data that cannot be read or written."""
 
 
 def _frame(text: bytes) -> Frame:
@@ -115,7 +107,7 @@ def serving(path: Path) -> Iterator[sqlite3.Connection]:
         lock = FileLock(path.with_name(f"{path.name}.lock")).acquire(timeout=0)
     except Timeout as error:
         text = "another server is at work on it: end that one, or wait"
-        raise StoreError(path, text) from error
+        raise StoreError(str(path), [text]) from error
     with lock, as_store_errors(path):
         connection = sqlite3.connect(
             path,
@@ -146,7 +138,7 @@ def opened(path: Path, mode: str = "ro") -> Iterator[sqlite3.Connection]:
         StoreError: there is no such file, or it is of another version, damaged or foreign.
     """
     if not path.is_file():
-        raise StoreError(path, "there is no such file: the study has not been served yet")
+        raise StoreError(str(path), ["there is no such file: the study has not been served yet"])
     address = f"{path.absolute().as_uri()}?mode={mode}"
     with as_store_errors(path):
         connection = sqlite3.connect(
@@ -164,11 +156,11 @@ def _check(path: Path, connection: sqlite3.Connection) -> None:
     """Refuses a damaged file, a foreign one, and one of another version."""
     found = connection.execute("PRAGMA quick_check(1)").fetchone()[0]
     if found != "ok":
-        raise StoreError(path, f"it is damaged: {found}")
+        raise StoreError(str(path), [f"it is damaged: {found}"])
     version = connection.execute("PRAGMA user_version").fetchone()[0]
     if version != _VERSION:
         text = f"it is no study of version {_VERSION}, which this bbq-torchrl reads, but {version}"
-        raise StoreError(path, text)
+        raise StoreError(str(path), [text])
 
 
 @contextmanager
@@ -177,7 +169,7 @@ def as_store_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except sqlite3.Error as error:
-        raise StoreError(path, f"SQLite says: {error}") from error
+        raise StoreError(str(path), [f"SQLite says: {error}"]) from error
 
 
 @dataclass(frozen=True)

@@ -222,7 +222,7 @@ def forget(data: Path, participant: str) -> int:
         connection.execute("BEGIN IMMEDIATE")
         found = connection.execute(whose, (token, participant)).fetchone()
         if found is None:
-            raise StoreError(data, "nobody has that number on your page, or that link")
+            raise StoreError(str(data), ["nobody has that number on your page, or that link"])
         for statement in (
             "DELETE FROM exchange WHERE session IN (SELECT id FROM session WHERE person = ?)",
             "DELETE FROM session WHERE person = ?",
@@ -236,5 +236,5 @@ def forget(data: Path, participant: str) -> int:
         is_busy, *_ = connection.execute("PRAGMA wal_checkpoint(TRUNCATE)").fetchone()
     if is_busy:
         text = "the person is forgotten, but texts are still in its log, which a report reads now"
-        raise StoreError(data, f"{text}: run the command again")
+        raise StoreError(str(data), [f"{text}: run the command again"])
     return int(found[0])

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import json
-from dataclasses import asdict, dataclass, replace
+from dataclasses import dataclass, replace
 from itertools import chain
 from os.path import expanduser
 from pathlib import Path
@@ -120,10 +119,6 @@ class Terms:
         _by_agent("lists of rules", TEXTS.test),
         "name to this agent's rules of the dialogue control; all rules for others",
     )
-
-    def text(self) -> str:
-        """Returns the terms as JSON, from which :func:`json.loads` makes ``Terms(**terms)``."""
-        return json.dumps(asdict(self))
 
 
 @dataclass(frozen=True)

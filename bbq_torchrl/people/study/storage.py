@@ -72,7 +72,7 @@ class Store:
         self._mutex = threading.RLock()
         prints = {agent: talker.fingerprint(agent) for agent in study.terms.agents}
         begun = {
-            **{"terms": study.terms.text(), "fingerprints": json.dumps(prints)},
+            **{"terms": json.dumps(asdict(study.terms)), "fingerprints": json.dumps(prints)},
             **{"package": bbq_torchrl.__version__, "simulated": int(simulated)},
         }
         with ExitStack() as opened:
@@ -107,7 +107,7 @@ class Store:
         if secret not in (None, old_secret):
             faults.append("it was begun with another seed")
         if faults:
-            raise StoreError(self._path, *faults, "a changed study needs a new file name")
+            raise StoreError(str(self._path), [*faults, "a changed study needs a new file name"])
         connection.execute("UPDATE study SET terms = ?", (new["terms"],))
         return str(old_secret)
 
