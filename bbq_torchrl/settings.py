@@ -20,7 +20,6 @@ not describe have an own :class:`Allowed`, a text and a test.
 from __future__ import annotations
 
 import math
-import sys
 from collections.abc import Mapping
 from dataclasses import MISSING, Field, dataclass, field, fields, is_dataclass
 from typing import TYPE_CHECKING, Any, TypeVar
@@ -39,8 +38,6 @@ Schema = TypeVar("Schema")
 
 REQUIRED = "???"
 """The default of a key that must be given, which OmegaConf also knows."""
-
-_LARGEST = sys.float_info.max
 
 
 @dataclass(frozen=True)
@@ -108,8 +105,6 @@ STEP_SIZE = numbers(1e-30, 1e30)
 PROBABILITY = _number("a number between 0 and 1", lambda value: 0 <= value <= 1)
 BELOW_ONE = _number("a number from 0 to below 1", lambda value: 0 <= value < 1)
 ABOVE_ZERO_TO_ONE = _number("a number above 0 and up to 1", lambda value: 0 < value <= 1)
-NUMBER = _number("a number", lambda value: isinstance(value, float) or abs(value) <= _LARGEST)
-INTEGER = Allowed("an integer", _is_integer)
 COUNT = integers(1)
 NON_NEGATIVE_INTEGER = integers(0)
 SIZE = integers(1, 1_000)  # a factor of the memory use

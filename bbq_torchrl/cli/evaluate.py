@@ -22,7 +22,7 @@ from bbq_torchrl.runs.shipped import run_folder
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.output import page
-from bbq_torchrl.utils.text import shown
+from bbq_torchrl.utils.text import as_typed, shown
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -107,12 +107,10 @@ def evaluation(config: EvaluateConfig) -> dict[str, Any]:
                 f"policy must be a run folder or one of {', '.join(names)}, "
                 f"got {shown(config.policy)}"
             )
-        if config.mode is not None:
-            raise ConfigError(f"mode must be null for policy={config.policy}, got {config.mode!r}")
-        if config.weights != "last":
-            raise ConfigError(
-                f"weights must be last for policy={config.policy}, got {config.weights!r}"
-            )
+        for key, needed in {"mode": None, "weights": "last"}.items():
+            if (given := getattr(config, key)) != needed:
+                wanted = f"{as_typed(needed)} for policy={config.policy}"
+                raise ConfigError(f"{key} must be {wanted}, got {given!r}")
     is_privileged = run is None and config.policy in config.env.references(domain)
     replicas = 1 if run is None else run.replicas
     values = [] if run is None else replica_values(run)
