@@ -116,10 +116,15 @@ class Group:
         columns = [replica.metrics[name][:, replica.number] for replica in self.replicas]
         return np.stack(columns, 1)
 
+    @property
+    def dialogues(self) -> int:
+        """Training dialogues of each seed."""
+        return self.round_dialogues * self.first.rounds
+
     def reach(self, level: float) -> Reach:
         """Returns the training dialogues that the seeds took to reach a success rate."""
         reached = rounds_to_reach(self.success, level) * self.round_dialogues
-        return Reach(tuple(reached.tolist()), self.round_dialogues * self.first.rounds)
+        return Reach(tuple(reached.tolist()), self.dialogues)
 
     @property
     def success(self) -> Any:

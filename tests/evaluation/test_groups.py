@@ -19,7 +19,7 @@ def test_runs_that_differ_in_their_seed_alone_are_one_group(add):
     assert bbqn.final == [0.5, 0.6, 0.7]
     assert bbqn.cumulative == pytest.approx([0.25, 0.3, 0.35])
     assert bbqn.success.tolist() == [[0.25, 0.3, 0.35]] * 3
-    assert (bbqn.reward, bbqn.turns, bbqn.reach(0.5).trained) == (10, 8, 150)
+    assert (bbqn.reward, bbqn.turns, bbqn.dialogues) == (10, 8, 150)
     assert dqn.final == [0.1]
 
 
