@@ -149,9 +149,13 @@ class Chat:
         self._say(f"the agent's act: {answer.answered}")
         if answer.control:
             self._say(f"its first choice was kept back by the rules {', '.join(answer.control)}")
-        beliefs = self._partner.beliefs(turn.memory, answer.understood, turn.seed)
+        agent, observation = (
+            self._partner.agent,
+            self._partner.observe(turn.memory, answer.understood),
+        )
+        beliefs = agent.beliefs(observation, turn.seed)
         if beliefs is None:
-            values = self._partner.values(turn.memory, answer.understood, turn.seed).items()
+            values = agent.values(observation, turn.seed).items()
             self._table(("action", "Q"), [(name, f"{q:.2f}") for name, q in [*values][:_SHOWN]])
             self._say("This agent has no posterior: it does not know how sure it is.")
             return
@@ -167,7 +171,8 @@ class Chat:
         answer = turn.answer
         reasons = None
         if answer.acted:
-            reasons = self._partner.reasons(turn.memory, answer.understood, turn.seed)
+            observation = self._partner.observe(turn.memory, answer.understood)
+            reasons = self._partner.agent.reasons(observation, turn.seed)
         if reasons is None:
             self._say("There are no two actions to compare here.")
             return

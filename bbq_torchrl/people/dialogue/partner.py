@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Protocol
+from typing import TYPE_CHECKING, Any
 
 import torch
 from tensordict import TensorDict
@@ -22,29 +22,8 @@ from bbq_torchrl.simulator import Simulator
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
 
-    from bbq_torchrl.people.dialogue import Beliefs
-    from bbq_torchrl.people.dialogue.trained_agent import Reasons, TrainedAgent
-    from bbq_torchrl.people.language import Nlu
-
-
-class Nlg(Protocol):
-    """Turns an agent's acts into sentences."""
-
-    def agent(
-        self,
-        frame: Frame,
-        kept: Mapping[str, str] | None = None,
-        *,
-        session: str | int = 0,
-        turn: int = 0,
-    ) -> str:
-        """Returns the sentence for an act."""
-
-    def clarify(self, understood: Understood, *, session: str | int = 0, turn: int = 0) -> str:
-        """Returns a question about what was not understood."""
-
-    def check(self, values: Mapping[str, str], *, session: str | int = 0, turn: int = 0) -> str:
-        """Returns a question about whether some values are right."""
+    from bbq_torchrl.people.dialogue.trained_agent import TrainedAgent
+    from bbq_torchrl.people.language import EndpointGenerator, Generator, Nlu
 
 
 @dataclass(frozen=True)
@@ -68,14 +47,7 @@ class Memory:
         state = None
         if self.state is not None:
             state = {key: value.tolist() for key, value in self.state.items()}
-        return json.dumps(
-            {
-                "state": state,
-                "asking": asdict(self.asking),
-                "checked": self.checked,
-                "texts": self.texts,
-            }
-        )
+        return json.dumps(vars(self) | {"state": state, "asking": asdict(self.asking)})
 
     @classmethod
     def from_json(cls, text: str) -> Memory:
@@ -86,12 +58,8 @@ class Memory:
             state = TensorDict({key: torch.tensor(value) for key, value in state.items()}, [])
         if (waiting := asking["waiting"]) is not None:
             waiting = Frame(waiting["act"], waiting["informs"], tuple(waiting["requests"]))
-        known: dict[str, Any] = {
-            **asking,
-            "waiting": waiting,
-            "choices": tuple(asking["choices"]),
-        }
-        return cls(state, Asking(**known), content.get("checked", ""), content["texts"])
+        known = {**asking, "waiting": waiting, "choices": tuple(asking["choices"])}
+        return cls(state, Asking(**known), content["checked"], content["texts"])
 
 
 @dataclass(frozen=True)
@@ -149,7 +117,7 @@ class Partner:
         self,
         agent: TrainedAgent,
         nlu: Nlu,
-        nlg: Nlg,
+        nlg: Generator | EndpointGenerator,
         spelling: Spelling | None = None,
         *,
         ask_below: float | None = None,
@@ -258,25 +226,13 @@ class Partner:
         answered = Frame("request", {}, (before.checked,))
         return Answer(self._nlg.agent(answered, **words), reading, reading.frame, answered, now)
 
-    def beliefs(self, memory: Memory | None, understood: Frame, seed: int) -> Beliefs | None:
-        """Returns the agent's beliefs when it understood an act; ``None`` without a posterior.
+    def observe(self, memory: Memory | None, understood: Frame) -> torch.Tensor:
+        """Returns the observation, float32 ``[F]``, on which the agent answered an act.
 
         Args:
             memory: the memory before the text.
             understood: the act that the agent acted on.
-            seed: the seed of the draws.
         """
-        return self.agent.beliefs(self._observed(memory, understood), seed)
-
-    def values(self, memory: Memory | None, understood: Frame, seed: int) -> dict[str, float]:
-        """Returns the values that the agent acted on, by action; arguments as in `beliefs`."""
-        return self.agent.values(self._observed(memory, understood), seed)
-
-    def reasons(self, memory: Memory | None, understood: Frame, seed: int) -> Reasons | None:
-        """Returns the reasons for its best action over the second; arguments as in `beliefs`."""
-        return self.agent.reasons(self._observed(memory, understood), seed)
-
-    def _observed(self, memory: Memory | None, understood: Frame) -> torch.Tensor:
         return self._tracking.observe(self._acting.hear((memory or Memory()).state, understood))
 
     def _understood(self, text: str, question: Frame | None) -> Understood:

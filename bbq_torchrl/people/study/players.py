@@ -92,7 +92,10 @@ class AgentTalker:
         with self._lock:
             memory = None if state is None else Memory.from_json(state)
             answer = partner.reply(memory, text, seed)
-            beliefs = partner.beliefs(memory, answer.understood, seed) if answer.acted else None
+            beliefs = None
+            if answer.acted:
+                observation = partner.observe(memory, answer.understood)
+                beliefs = partner.agent.beliefs(observation, seed)
         return Reply(
             text=answer.text,
             understood=answer.understood,
