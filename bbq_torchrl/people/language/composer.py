@@ -128,7 +128,7 @@ class Composer:
             options = self._phrases.user.get(use) or self._phrases.user["inform"]
             parts = [self._fill(options, turn, asked_slot(question))]
         parts += self._rest(turn, is_first=not parts)
-        parts += [self._any(slot, turn) for slot in cares]
+        parts += [self._fill(self._phrases.slots[s].phrases["any"], turn, s) for s in cares]
         parts += [self._wrap("also", asked, turn) for asked in self._questions(requests, turn)]
         return parts
 
@@ -225,9 +225,6 @@ class Composer:
                 said = self._wrap("state", said, turn)
             parts.append(said)
         return parts
-
-    def _any(self, slot: str, turn: _Turn) -> list[Piece]:
-        return self._fill(self._phrases.slots[slot].phrases["any"], turn, slot)
 
     def _slot_phrase(self, slot: str, use: str, turn: _Turn) -> list[Piece]:
         if slot in turn.left:

@@ -82,45 +82,21 @@ class Endpoint:
             raise ConnectionError(f"the endpoint {self.url} gave no answer: {error}") from None
 
 
-class _WithFallback:
-    """Asks an endpoint, and counts what it answers.
-
-    Attributes:
-        answered: the number of the endpoint's answers used.
-        fallbacks: the number of fallbacks to the local part, by reason: ``"no answer"`` and
-            ``"invalid"``.
-    """
-
-    def __init__(self, endpoint: Endpoint) -> None:
-        self._endpoint = endpoint
-        self.answered = 0
-        self.fallbacks = {"no answer": 0, "invalid": 0}
-
-    def _asked(
-        self,
-        system: str,
-        user: Mapping[str, Any],
-        schema: Mapping[str, Any],
-        read: Callable[[Any], _T | None],
-    ) -> _T | None:
-        """Returns what ``read`` finds in the endpoint's answer; ``None`` to use the local part."""
-        try:
-            answer = self._endpoint.ask(system, user, schema)
-        except ConnectionError:
-            self.fallbacks["no answer"] += 1
-            return None
-        try:
-            found = read(answer)
-        except (AttributeError, LookupError, TypeError, ValueError):
-            found = None
-        if found is None:
-            self.fallbacks["invalid"] += 1
-        else:
-            self.answered += 1
-        return found
+def _asked(
+    endpoint: Endpoint,
+    system: str,
+    user: Mapping[str, Any],
+    schema: Mapping[str, Any],
+    read: Callable[[Any], _T | None],
+) -> _T | None:
+    """Returns what ``read`` finds in the endpoint's answer; ``None`` to use the local part."""
+    try:
+        return read(endpoint.ask(system, user, schema))
+    except (ConnectionError, AttributeError, LookupError, TypeError, ValueError):
+        return None
 
 
-class EndpointUnderstander(_WithFallback):
+class EndpointUnderstander:
     """Understands with an endpoint; falls back to the local understander.
 
     Args:
@@ -130,8 +106,7 @@ class EndpointUnderstander(_WithFallback):
     """
 
     def __init__(self, endpoint: Endpoint, own: Understander) -> None:
-        super().__init__(endpoint)
-        self._own = own
+        self._endpoint, self._own = endpoint, own
 
     def asks(self, understood: Understood) -> bool:
         """Returns whether the system should ask again instead of acting."""
@@ -145,7 +120,7 @@ class EndpointUnderstander(_WithFallback):
         """
         own = self._own(text, question)
         given = {"text": legible(text), "agent_said": str(question) if question is not None else ""}
-        frame = self._asked(_UNDERSTAND, given, self._schema(), self._frame)
+        frame = _asked(self._endpoint, _UNDERSTAND, given, self._schema(), self._frame)
         if frame is None:
             return own
         agrees = str(frame) == str(own.frame)
@@ -181,7 +156,7 @@ class EndpointUnderstander(_WithFallback):
         return Frame(answer["act"], informs | dont_care, requests) if is_known else None
 
 
-class EndpointGenerator(_WithFallback):
+class EndpointGenerator:
     """Phrases an agent's acts with an endpoint; falls back to the local generator.
 
     Args:
@@ -190,8 +165,7 @@ class EndpointGenerator(_WithFallback):
     """
 
     def __init__(self, endpoint: Endpoint, own: Generator) -> None:
-        super().__init__(endpoint)
-        self._own = own
+        self._endpoint, self._own = endpoint, own
         self.clarify, self.check = own.clarify, own.check
 
     def agent(
@@ -212,7 +186,8 @@ class EndpointGenerator(_WithFallback):
             return text if all(value in text.lower() for value in values) else None
 
         given = {"act": str(frame), "for_example": own}
-        return self._asked(_SPEAK, given, _schema(text={"type": "string"}), read) or own
+        schema = _schema(text={"type": "string"})
+        return _asked(self._endpoint, _SPEAK, given, schema, read) or own
 
 
 def _schema(**properties: Mapping[str, Any]) -> dict[str, Any]:

@@ -278,8 +278,6 @@ def load_phrases(domain: Domain) -> Phrases:
         source = str(path)
         try:
             own = read_yaml(path.read_text(encoding="utf-8")) or {}
-        except UnicodeDecodeError as error:
-            raise PhrasesError(source, [f"it must be UTF-8 text: {error}"]) from None
         except ValueError as error:
             raise PhrasesError(source, [str(error)]) from None
     reader = _Reader(domain)
