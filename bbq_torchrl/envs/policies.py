@@ -126,7 +126,8 @@ class ClairvoyantPolicy(TensorDictModuleBase):
         if slot.numel() == 0:
             return left.view(shape)
         held, others = held[row], is_open[row]
-        value, _ = self._knowledge_base.fill(held, slot)
+        counts, _ = self._knowledge_base.counts_by_value(held, slot)
+        value = self._knowledge_base.most_frequent(counts, slot)
         held = held.scatter(-1, slot[:, None], value[:, None])
         others = others.scatter(-1, slot[:, None], False)
         records = self._knowledge_base.matching(held)

@@ -18,9 +18,6 @@ if TYPE_CHECKING:
 
 _BYTE_BITS = 8
 _WORD_BYTES = WORD_BITS // _BYTE_BITS
-# Dialogues filled at a time. Temporaries have a long for every value of a slot, and above 32 MB the
-# allocator maps fresh pages in every call, which costs more than the computation.
-_FILL_BLOCK = 4096
 # Flags (a byte each) ordered and packed at a time during construction. All at once, a hundred
 # thousand records would take a gigabyte.
 _BUILD_BLOCK = 2**22
@@ -141,33 +138,8 @@ class KnowledgeBase(Movable):
         """
         return rows(self.counted, self.order_of_slot.take(slot))
 
-    def fill(self, held: Tensor, slot: Tensor) -> tuple[Tensor, Tensor]:
-        """Finds the most frequent value of a slot among the records that match all values held.
-
-        Ties go to the lowest value id.
-
-        Args:
-            held: long ``[*B, S]``, value ids, including that of the slot itself.
-            slot: long ``[*B]``, the same as in :meth:`counts_by_value`.
-
-        Returns:
-            The value ids, long ``[*B]``, "no match" if no matching record has the slot; and whether
-            any record matches, bool ``[*B]``.
-        """
-        blocks = zip(
-            held.reshape(-1, held.shape[-1]).split(_FILL_BLOCK),
-            slot.reshape(-1).split(_FILL_BLOCK),
-            strict=True,
-        )
-        values, has_match = [], []
-        for block, slots in blocks:
-            counts, total = self.counts_by_value(block, slots)
-            values.append(self.most_frequent(counts, slots))
-            has_match.append(total > 0)
-        return torch.cat(values).view(slot.shape), torch.cat(has_match).view(slot.shape)
-
     def most_frequent(self, counts: Tensor, slot: Tensor) -> Tensor:
-        """Returns the ids of the most frequent values, long ``[*B]``.
+        """Returns the ids of the most frequent values, long ``[*B]``; ties go to the lowest id.
 
         Args:
             counts: long ``[*B, C]``, of :meth:`counts_by_value`; if all are 0, the value is

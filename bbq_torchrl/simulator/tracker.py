@@ -135,12 +135,10 @@ class Tracker(Movable):
         request, inform, booking, choice, confirm, end, special = kinds.view(
             self._kinds.shape[0], *action.shape
         ).unbind()
+        counts, total = self._knowledge_base.counts_by_value(held, slot)
+        filled, has_match = self._knowledge_base.most_frequent(counts, slot), total > 0
         offered = None
-        if not self._has_choices:
-            filled, has_match = self._knowledge_base.fill(held, slot)
-        else:
-            counts, total = self._knowledge_base.counts_by_value(held, slot)
-            filled, has_match = self._knowledge_base.most_frequent(counts, slot), total > 0
+        if self._has_choices:
             offered = torch.where(counts > 0, self._knowledge_base.counted_values(slot), NONE)
             special = special | choice
             has_match = torch.where(choice, (counts > 0).any(-1), has_match)

@@ -51,22 +51,3 @@ def test_a_transform_can_have_dialogues_wait(restaurant):
     turns = rollout["turns"].squeeze(-1)
     assert (turns[even] == torch.tensor([0, 1, 2, 2, 2, 2])).all()
     assert (turns[~even] == torch.arange(6)).all()
-
-
-def test_a_rollout_to_the_last_dialogues_end_is_as_without_waiting(restaurant):
-    """TorchRL skips dialogues that are over, which the environment never changes anyway."""
-    rollouts = []
-    for breaks in (True, False):
-        env = make(restaurant, (20,))
-        torch.manual_seed(1)
-        td, played = env.reset(), []
-        over = torch.zeros(20, dtype=torch.bool)
-        for _ in range(env.max_agent_turns):
-            step = env.rand_action(td)
-            if breaks and over.any() and not over.all():
-                step["_step"] = ~over
-            td = env.step(step)["next"]
-            over = td["done"].squeeze(-1)
-            played.append(td.clone())
-        rollouts.append(torch.stack(played))
-    assert (rollouts[0] == rollouts[1]).all()

@@ -56,10 +56,9 @@ def test_look_ups_are_those_of_the_oracle(drawn, slot):
     assert {t: n for t, n in zip(texts, counts.tolist(), strict=True) if n} == on_rows
 
     best = [value for value, count in on_rows.items() if count == max(on_rows.values())]
-    value, has_match = knowledge_base.fill(ids, index)
+    value = knowledge_base.most_frequent(counts, index)
     first = plain.in_order(slot, best)[0] if best else NO_MATCH
     assert tensors.vocabulary[index][value] == first
-    assert bool(has_match) == bool(matching)
 
 
 @given(st.lists(st.booleans(), min_size=1, max_size=200))
@@ -69,19 +68,6 @@ def test_packed_sets_count_their_members(members):
     assert int(popcount(words)) == sum(members)
     by_byte = [sum(members[start : start + 8]) for start in range(0, len(members), 8)]
     assert byte_counts(words)[: len(by_byte)].tolist() == by_byte
-
-
-def test_many_dialogues_at_once_fill_as_one_does(movie):
-    domain = tensorize(movie)
-    knowledge_base, count = KnowledgeBase(domain), 5_000  # more than one block
-    record = torch.randint(len(domain.records), (count,))
-    held = domain.records[record] * (torch.rand(count, domain.n_slots) < 0.3)
-    slot = torch.tensor([domain.slot["theater"], domain.slot["genre"], domain.slot["date"]])
-    slot = slot[torch.randint(3, (count,))]
-    value, has_match = knowledge_base.fill(held, slot)
-    assert has_match.all()
-    for row in range(0, count, 499):
-        assert knowledge_base.fill(held[row], slot[row]) == (value[row], has_match[row])
 
 
 def test_memory_grows_with_the_records_and_not_with_their_square(movie):
