@@ -7,9 +7,8 @@ from bbq_torchrl.simulator.features import FeatureLayout, Rewards
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 from bbq_torchrl.simulator.measured_errors import MeasuredErrors
 from bbq_torchrl.simulator.profiles import Profile
-from bbq_torchrl.simulator.simulator import Simulator
+from bbq_torchrl.simulator.simulator import Simulator, Transcript
 from bbq_torchrl.simulator.tracker import Utterance
-from bbq_torchrl.simulator.transcript import Transcript
 
 __all__ = [
     "Channel",

@@ -1,4 +1,4 @@
-"""Batched dialogues: a state, and the function from state and action to the next state."""
+"""Batched dialogues: a state, the function from state and action to the next one, and its text."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import torch
 from tensordict import TensorDict
 from torch import Tensor
 
+from bbq_torchrl.domains.frames import Coding
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import NO_MATCH, NONE
 from bbq_torchrl.settings import check, integers
@@ -24,6 +25,7 @@ if TYPE_CHECKING:
     from tensordict import TensorDictBase
 
     from bbq_torchrl.domains import DomainTensors
+    from bbq_torchrl.domains.frames import Frame
     from bbq_torchrl.simulator.error_model import Channel
     from bbq_torchrl.simulator.features import FeatureLayout
     from bbq_torchrl.simulator.profiles import Users
@@ -326,3 +328,61 @@ class Simulator(Movable):
         is_false = (constraints != NONE) & (history != NONE) & (history != constraints)
         spoils = is_left | is_false | (history == NO_MATCH)
         return agent.is_end & state["constraints_met"] & ~spoils.any(-1)
+
+
+class Transcript:
+    """Formats the acts in a dialogue's state as text.
+
+    A line has the act, then its requests and informs; the acts ``request`` and ``inform`` come with
+    their slots, followed by those of the other kind. If an error occurred, the act as heard follows
+    in brackets.
+
+    Args:
+        domain: the domain's tensors.
+
+    Examples:
+        >>> from bbq_torchrl.domains import movie_domain, tensorize
+        >>> import torch
+        >>> from bbq_torchrl.simulator import Simulator
+        >>> domain = tensorize(movie_domain())
+        >>> simulator, active = Simulator(domain), torch.ones(domain.n_slots, dtype=torch.bool)
+        >>> draws = simulator.draw_reset((), torch.Generator().manual_seed(0))
+        >>> Transcript(domain).lines(simulator.reset(draws, active))
+        ['user: request(...) inform(...)']
+    """
+
+    def __init__(self, domain: DomainTensors) -> None:
+        self._coding = Coding(domain)
+
+    def lines(self, state: TensorDictBase) -> list[str]:
+        """Returns the last turn of one dialogue: the agent's line, if any, and the user's.
+
+        Args:
+            state: the state of one dialogue, batch size ``[]``.
+        """
+        user = f"user: {self.user(state)}"
+        if int(state["agent_act"]) < 0:
+            return [user]
+        return [f"agent: {self.agent(state)}", user]
+
+    def agent(self, state: TensorDictBase) -> str:
+        """Returns the agent's last act: ``"inform(theater=carmike 16)"``."""
+        return str(self._frame(state, "agent_act", "agent_informs", "agent_requests"))
+
+    def user(self, state: TensorDictBase) -> str:
+        """Returns the user's last act: ``"request(theater) inform(moviename=zootopia)"``."""
+        meant = str(self._frame(state, "user_act", "meant_informs", "pending"))
+        heard = str(self._frame(state, "heard_act", "user_informs", "heard_requests"))
+        is_over = bool(state["done"])  # the end has no errors, but the tracker keeps requests
+        return meant if is_over or meant == heard else f"{meant} [heard: {heard}]"
+
+    def goal(self, state: TensorDictBase) -> str:
+        """Returns the user's goal: ``"request(ticket) inform(moviename=zootopia)"``."""
+        request = self._coding.acts.index("request")
+        values, requests = state["constraints"].tolist(), state["requests"].tolist()
+        return str(self._coding.frame(request, values, requests))
+
+    def _frame(self, state: TensorDictBase, *keys: str) -> Frame:
+        """Returns the frame in the state's entries of act, values and requests."""
+        act, informs, requests = (state[key].tolist() for key in keys)
+        return self._coding.frame(act, informs, requests)
