@@ -3,13 +3,14 @@
 import shutil
 from pathlib import Path
 
+import forked
 import pytest
 from tiny import without_drawing
 
 from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.runs.train import run
+from bbq_torchrl.runs.train import main, run
 
-from .trusted import DQN
+from .trusted import DQN, SMALL
 
 
 @pytest.fixture(scope="session")
@@ -27,6 +28,16 @@ def finished(tmp_path_factory):
     folder = tmp_path_factory.mktemp("finished") / "run"
     with without_drawing():
         run(compose(DQN), folder)
+    return folder
+
+
+@pytest.fixture(scope="session")
+def commanded(tmp_path_factory):
+    """A run of three replicas, from the command of the README on a shrunk protocol."""
+    folder = tmp_path_factory.mktemp("cli") / "run"
+    growing = "env=domain_ext env.start=1 env.every=1"
+    command = f"agent=bbqn explore=thompson {growing} replicas=3 seed=7 device=cpu".split()
+    forked.call(main, *command, *SMALL, f"hydra.run.dir={folder}", cwd=folder.parent)
     return folder
 
 

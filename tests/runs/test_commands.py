@@ -20,38 +20,28 @@ from bbq_torchrl.evaluation.rollouts import evaluate as evaluate_policy
 from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.runs.train import main as train_main
 
-TRAIN = forked.ROOT / "train.py"
+from .trusted import SMALL
 
-SMALL = (*TINY, "protocol.rounds=3", "protocol.eval_dialogues=30", "protocol.eval_batch=30")
+TRAIN = forked.ROOT / "train.py"
 
 
 def train(command, *more, cwd, code=0):
     return forked.call(train_main, *command.split(), *more, cwd=cwd, code=code)
 
 
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory):
-    """A run of three replicas, from the command of the README on a shrunk protocol."""
-    folder = tmp_path_factory.mktemp("cli") / "run"
-    growing = "env=domain_ext env.start=1 env.every=1"
-    command = f"agent=bbqn explore=thompson {growing} replicas=3 seed=7 device=cpu"
-    train(command, *SMALL, f"hydra.run.dir={folder}", cwd=folder.parent)
-    return folder
-
-
-def test_a_run_folder_holds_configuration_metrics_result_curve_and_checkpoints(finished):
-    names = {path.name for path in finished.iterdir()}
+def test_a_run_folder_holds_configuration_metrics_result_curve_and_checkpoints(commanded):
+    names = {path.name for path in commanded.iterdir()}
     files = {"config.yaml", ".hydra", "metrics.csv", "result.json", "curve.png", "checkpoint"}
     assert files <= names
     assert "scalars" not in names  # metrics.csv is the one file of a round's numbers
-    assert [(row["round"], row["replica"]) for row in rows(finished / "metrics.csv")] == [
+    assert [(row["round"], row["replica"]) for row in rows(commanded / "metrics.csv")] == [
         (str(number), str(replica)) for number in range(3) for replica in range(3)
     ]
-    assert (finished / "curve.png").read_bytes().startswith(b"\x89PNG")
+    assert (commanded / "curve.png").read_bytes().startswith(b"\x89PNG")
 
 
-def test_the_result_says_what_ran_and_how_well(finished):
-    result = json.loads((finished / "result.json").read_text())
+def test_the_result_says_what_ran_and_how_well(commanded):
+    result = json.loads((commanded / "result.json").read_text())
     expected = {"agent": "bbqn", "explore": "thompson", "env": "domain_ext", "domain": "movie"}
     expected |= {"seed": 7, "rounds": 3, "replicas": 3, "dialogues": 90}
     assert {key: result[key] for key in expected} == expected
@@ -60,38 +50,38 @@ def test_the_result_says_what_ran_and_how_well(finished):
     assert result["success_rate"] == pytest.approx(mean)
     assert {"torch", "torchrl", "tensordict", "bbq-torchrl"} <= result["versions"].keys()
     begun, ended = (
-        (finished / file).stat().st_mtime for file in (".hydra/overrides.yaml", "result.json")
+        (commanded / file).stat().st_mtime for file in (".hydra/overrides.yaml", "result.json")
     )
     assert 0 < result["wall_seconds"] < ended - begun + 1
 
 
 @pytest.mark.parametrize("mode", ["mean", "average", "thompson"])
-def test_a_trained_run_is_evaluated_by_every_policy_of_its_posterior(finished, capsys, mode):
-    assert evaluate.main([f"policy={finished}", "dialogues=25", "batch=10", f"mode={mode}"]) == 0
+def test_a_trained_run_is_evaluated_by_every_policy_of_its_posterior(commanded, capsys, mode):
+    assert evaluate.main([f"policy={commanded}", "dialogues=25", "batch=10", f"mode={mode}"]) == 0
     (line,) = capsys.readouterr().out.splitlines()
     answer = json.loads(line)
     assert (answer["env"], answer["dialogues"], answer["mode"]) == ("domain_ext", 75, mode)
 
 
-def test_a_loaded_run_plays_as_it_was_reported(finished):
-    env, policy, config, mode = load_run(finished, dialogues=30)
+def test_a_loaded_run_plays_as_it_was_reported(commanded):
+    env, policy, config, mode = load_run(commanded, dialogues=30)
     assert mode == "mean"
     assert env.round == 2
     played = evaluate_policy(env, policy, 30, seed=config.seed)
-    reported = [item.success_rate for item in read_result(finished).per_replica]
+    reported = [item.success_rate for item in read_result(commanded).per_replica]
     assert played.success.double().mean(-1).tolist() == pytest.approx(reported)
 
 
-def test_a_loaded_run_is_a_policy_for_its_environment(finished):
-    loaded = load_run(finished, dialogues=3, mode="thompson", weights="best")
+def test_a_loaded_run_is_a_policy_for_its_environment(commanded):
+    loaded = load_run(commanded, dialogues=3, mode="thompson", weights="best")
     rollout = loaded.env.rollout(4, loaded.policy, break_when_any_done=False)
     assert rollout.batch_size == torch.Size([3, 3, 4])
     assert loaded.mode == "thompson"
 
 
-def test_other_weights_than_there_are_are_refused(finished):
+def test_other_weights_than_there_are_are_refused(commanded):
     with pytest.raises(ValueError, match=r"weights must be one of last, best, got 'first'"):
-        load_run(finished, weights="first")
+        load_run(commanded, weights="first")
 
 
 def test_a_policy_that_reads_the_hidden_goal_is_called_privileged(capsys):

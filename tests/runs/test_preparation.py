@@ -1,4 +1,4 @@
-"""Checks of a run before its folder exists, and the choice of the folder."""
+"""The choice of a run's folder; tests/adversary/test_bad_input.py has what is refused."""
 
 import pytest
 from prepared import prepared
@@ -17,35 +17,6 @@ def test_runs_of_one_second_get_separate_folders(tmp_path):
     for _ in range(3):
         prepared("agent=dqn")
     assert len(list(tmp_path.glob("runs/*/*"))) == 3
-
-
-REFUSED = {
-    "value": ("agent.lr=-1", "agent.lr"),
-    "value of several replicas": ("replicas=4 agent.lr=[.1,.2,.3]", "agent.lr"),
-    "combination": ("explore=noisy agent=bbqn", "explore"),
-    "key added by a plus": ("+agent.lrr=1", "lrr"),
-    "missing value": ("domain=folder", "domain.path"),
-    "unresolved value": ("seed=${nothing}", "nothing"),
-    "unresolved folder": ("hydra.run.dir=${nothing}", "hydra.run.dir"),
-    "option": ("agent=foo", "agent"),
-    "key": ("agent.lrr=1", "agent.lrr"),
-    "type": ("seed=x", "seed"),
-    "several values": ("seed=1,2", "seed"),
-    "not key=value": ("seed", "seed"),
-    "experiment": ("+experiment=foo", "experiment"),
-    "device": ("device=cuda:99", "device"),
-    "policy": ("spike.policy=none", "spike.policy"),
-    "sweep": ("+experiment=ablations/draws", "--multirun"),
-    "resume": ("resume=nowhere", "nowhere"),
-}
-
-
-@pytest.mark.parametrize("case", REFUSED)
-def test_what_cannot_run_is_refused_by_key_and_leaves_no_folder(case, tmp_path):
-    overrides, key = REFUSED[case]
-    with pytest.raises(ConfigError, match=key):
-        prepared(*overrides.split())
-    assert not list(tmp_path.iterdir())
 
 
 def test_a_resumed_run_goes_on_in_its_folder_with_hydras_record_as_it_was(tmp_path):

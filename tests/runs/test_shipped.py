@@ -3,34 +3,13 @@
 import pytest
 import torch
 import yaml
-from tiny import TINY
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl import load_run
 from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.runs import shipped
-from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.runs.train import run
 from scripts import ship_agent
-
-SHRUNKEN = (
-    *TINY,
-    "protocol.rounds=1",
-    "protocol.eval_every=0",
-    "protocol.keep_checkpoints=weights",
-    "replicas=2",
-)
-
-
-@pytest.fixture(scope="module")
-def finished(tmp_path_factory, without_curves):
-    """A finished run of two replicas."""
-    folder = tmp_path_factory.mktemp("run")
-    run(compose(list(SHRUNKEN)), folder)
-    (folder / ".hydra").mkdir()
-    (folder / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump(list(SHRUNKEN)))
-    return folder
 
 
 def evaluated(*given):
@@ -87,16 +66,16 @@ def test_shipped_agents_are_small_files_without_a_path_of_a_machine():
         assert (shipped.SHIPPED / name / "overrides.yaml").is_file()
 
 
-def test_what_is_shipped_is_one_replica_of_the_run(finished, tmp_path, monkeypatch):
+def test_what_is_shipped_is_one_replica_of_the_run(commanded, tmp_path, monkeypatch):
     monkeypatch.setattr(shipped, "SHIPPED", tmp_path)
-    ship_agent.ship(finished, tmp_path / "second", replica=1)
+    ship_agent.ship(commanded, tmp_path / "second", replica=1)
     env, policy, config, mode = load_run("shipped:second", dialogues=4)
     assert (config.replicas, mode, env.batch_size) == (1, "mean", torch.Size([1, 4]))
-    whole_env, whole, _, _ = load_run(finished, dialogues=4)
+    whole_env, whole, _, _ = load_run(commanded, dialogues=4)
     rows = whole_env.reset()
     with torch.no_grad(), set_exploration_type(ExplorationType.DETERMINISTIC):
-        expected = whole(rows.clone())["action_value"][1:]
-        found = policy(rows[1:].clone())["action_value"]
+        expected = whole(rows.clone())["action_value"][1:2]
+        found = policy(rows[1:2].clone())["action_value"]
     assert torch.allclose(found, expected, atol=0.02)
     assert not torch.allclose(found, whole(rows.clone())["action_value"][:1], atol=0.02)
 
@@ -104,12 +83,12 @@ def test_what_is_shipped_is_one_replica_of_the_run(finished, tmp_path, monkeypat
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"replica": 2}, "replica must be from 0 to 1, got 2"),
-        ({"run": "nowhere"}, "nowhere is not a run folder"),
+        ({"replica": 3}, "replica"),
+        ({"run": "nowhere"}, "nowhere"),
     ],
 )
-def test_what_cannot_be_shipped_is_refused(finished, tmp_path, change, message):
-    given = {"run": finished, "target": tmp_path / "new", **change}
+def test_what_cannot_be_shipped_is_refused(commanded, tmp_path, change, message):
+    given = {"run": commanded, "target": tmp_path / "new", **change}
     given["run"] = tmp_path / given["run"]
     with pytest.raises(ValueError, match=message):
         ship_agent.ship(**given)

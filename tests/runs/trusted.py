@@ -16,6 +16,8 @@ DQN = (
     "protocol.keep_checkpoints=weights",
 )
 
+SMALL = (*TINY, "protocol.rounds=3", "protocol.eval_dialogues=30", "protocol.eval_batch=30")
+
 
 def state_of(folder):
     return {
