@@ -235,9 +235,11 @@ class Model:
     net: IntentNet
 
     @torch.no_grad()
-    def read(self, words: Sequence[str], question: Frame) -> Reading:
+    def read(
+        self, words: Sequence[str], question: Frame, capitals: frozenset[str] = frozenset()
+    ) -> Reading:
         """Returns the reading of a sentence of at least one word."""
-        tags, chance, each = _tagged(self.tagger, self.features, words, question)
+        tags, chance, each = _tagged(self.tagger, self.features, words, question, capitals)
         parts = [(words, tags), *_clauses(words, tags)]
         named = [self.features.of_sentence(*part, question) for part in parts]
         acts, requests, dont_care = self.net(*self.net.encode(named))
@@ -264,10 +266,11 @@ def _tagged(
     features: Features,
     words: Sequence[str],
     question: Frame,
+    capitals: frozenset[str] = frozenset(),
 ) -> tuple[list[str], float, list[float]]:
     """Returns the result of :meth:`Tagger.__call__` for a sentence."""
     is_unknown = [features.spelled(word) == UNKNOWN for word in words]
-    return tagger(features.of_words(words, question), is_unknown)
+    return tagger(features.of_words(words, question, capitals), is_unknown)
 
 
 def _clauses(
@@ -324,7 +327,7 @@ def fit(
     # "Friday or Saturday" informs neither, but must not teach that these are not names.
     named = [e for e in examples if e.frame != Frame("inform") or {*e.tags} != {OUTSIDE}]
     tagger = Tagger.train(
-        [features.of_words(e.words, e.question) for e in named],
+        [features.of_words(e.words, e.question, e.capitals) for e in named],
         [e.tags for e in named],
         steps,
         tick,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
-from itertools import groupby
+from itertools import groupby, pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -101,6 +101,23 @@ def words_of(text: str) -> list[str]:
     if not words:
         raise TextError("a message must have at least one word, number or mark")
     return words
+
+
+def capitalized(text: str) -> frozenset[str]:
+    """Returns the words inside a text's sentences that begin with a capital, as names do.
+
+    Small words and words all in capitals are left out.
+
+    Examples:
+        >>> sorted(capitalized("I liked Top Gun. Is Dune in IMAX?"))
+        ['dune', 'gun', 'top']
+    """
+    found = {
+        normalize(word)
+        for before, word in pairwise(_TOKEN.findall(legible(text)))
+        if word[0].isupper() and not word.isupper() and word[:2] != "I'" and before not in BREAKS
+    }
+    return frozenset(found - SMALL)
 
 
 def compact(text: str) -> str:
