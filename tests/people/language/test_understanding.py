@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 
 import forked
-import numpy as np
 import pytest
 from acts import HOSTILE
 
@@ -159,11 +158,9 @@ def test_a_damaged_file_is_refused_before_the_tagger_reads_it(
     if content == "half":
         content = path.read_bytes()[:50_000]
     if content == "changed":
-        with np.load(path) as stored:
-            arrays = dict(stored)
-        np.savez(path, **arrays | {"tagger": arrays["tagger"][:99]})
-    else:
-        path.write_bytes(content)
+        content = bytearray(path.read_bytes())
+        content[len(content) // 2] ^= 1
+    path.write_bytes(content)
     monkeypatch.setattr("bbq_torchrl.people.language.understander.Tagger", None)
     with pytest.raises(ValueError, match="damaged"):
         Understander.load(path, movie_domain())
