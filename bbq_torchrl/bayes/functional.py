@@ -9,18 +9,15 @@ vector of zeros for each layer and add them up.
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from functools import wraps
 from math import prod, sqrt
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 import torch
+from torch import Tensor
 
 from bbq_torchrl.bayes.noise import fill_dropout_mask_, is_transformed
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from torch import Tensor
 
 Result = TypeVar("Result")
 

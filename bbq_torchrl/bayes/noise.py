@@ -9,15 +9,13 @@ bits index a table of the normal distribution.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cache
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 _LEVELS = 2**16  # 16 random bits per number
 _MIN_COUNT = 2**13  # below this count torch's generator is as fast

@@ -2,20 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from operator import index
-from typing import TYPE_CHECKING, SupportsIndex
+from typing import SupportsIndex
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
-from bbq_torchrl.settings import ABOVE_ZERO
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from torch import nn
-
-    from bbq_torchrl.settings import Allowed
+from bbq_torchrl.settings import ABOVE_ZERO, Allowed
 
 
 def replica_shape(replicas: SupportsIndex | Sequence[int]) -> torch.Size:

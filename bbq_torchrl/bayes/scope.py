@@ -9,21 +9,17 @@ them, whatever wraps them (``nn.Sequential``, a TensorDict module, a functional 
 from __future__ import annotations
 
 import threading
+from collections.abc import Hashable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 from tensordict.nn.probabilistic import InteractionType, interaction_type
+from torch import Tensor
 
+from bbq_torchrl.bayes.noise import NoiseSource
 from bbq_torchrl.bayes.weight_draw import KL_KIND, KLKind
 from bbq_torchrl.settings import check, one_of
-
-if TYPE_CHECKING:
-    from collections.abc import Hashable, Iterator, Mapping
-
-    from torch import Tensor
-
-    from bbq_torchrl.bayes.noise import NoiseSource
 
 WeightMode = Literal["draw", "local", "mean"]
 WEIGHT_MODE = one_of(*get_args(WeightMode))

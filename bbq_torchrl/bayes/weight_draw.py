@@ -7,7 +7,8 @@ in cache-sized pieces.
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any, Literal, get_args
 
 import torch
 import torch.nn.functional as F
@@ -16,9 +17,6 @@ from torch import Tensor
 from bbq_torchrl.bayes.functional import once_differentiable
 from bbq_torchrl.bayes.noise import is_transformed
 from bbq_torchrl.settings import one_of
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
 
 KLKind = Literal["closed", "sampled"]
 KL_KIND = one_of(*get_args(KLKind))

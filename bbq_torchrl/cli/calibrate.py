@@ -10,7 +10,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 import sys
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Sequence
 
 from bbq_torchrl.domains import importing
 from bbq_torchrl.options import CalibrateConfig
@@ -19,9 +19,6 @@ from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.output import page
 from bbq_torchrl.utils.text import as_typed, shown
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
 
 USAGE = f"""\
 usage: python -m bbq_torchrl.domains calibrate [<key>=<value> ...]

@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import prod
-from typing import TYPE_CHECKING
 
 import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.envs.transforms import Transform
 
 from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.settings import ABOVE_ZERO_TO_ONE, at_least, check
 from bbq_torchrl.utils.seeds import checked_seed, unshared_seed
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from tensordict import TensorDictBase
-    from tensordict.utils import NestedKey
 
 
 class BootstrapMask(Transform):

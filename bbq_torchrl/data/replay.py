@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from typing import Any
 
 import torch
-from tensordict import TensorDict, pad_sequence
+from tensordict import NestedKey, TensorDict, TensorDictBase, pad_sequence
 from torch import Tensor
 from torchrl.data import LazyTensorStorage, SamplerWithoutReplacement, TensorDictReplayBuffer
-from torchrl.envs import Compose
+from torchrl.envs import Compose, Transform
 
 from bbq_torchrl.data.rows import (
     Batch,
@@ -22,12 +23,6 @@ from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
 from bbq_torchrl.protocols import Measured, Seeded, modules_with
 from bbq_torchrl.settings import at_least, check
 from bbq_torchrl.utils.seeds import checked_seed
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from tensordict import NestedKey, TensorDictBase
-    from torchrl.envs import Transform
 
 TRANSITION_KEYS: tuple[NestedKey, ...] = (
     "observation",

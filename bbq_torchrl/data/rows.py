@@ -2,18 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, NamedTuple
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
 
 import torch
-from tensordict import TensorDict, lazy_stack
+from tensordict import NestedKey, TensorDict, TensorDictBase, lazy_stack
 from torch import Tensor
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from tensordict import NestedKey, TensorDictBase
-    from torch import Tensor
-    from torchrl.data import TensorDictReplayBuffer
+from torchrl.data import TensorDictReplayBuffer
 
 
 def validate_transitions(rows: TensorDictBase, *, name: str = "transitions") -> None:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
+from tensordict import TensorDictBase
 from torchrl.data import TensorDictRoundRobinWriter
-
-if TYPE_CHECKING:
-    from tensordict import TensorDictBase
 
 _PROTECTED = "protected.txt"  # in the folder of TorchRL's writer
 

@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from pathlib import Path
+from typing import Literal, NamedTuple
 
 from bbq_torchrl.domains.values import DONT_CARE, RESERVED_TEXT, fold
 from bbq_torchrl.settings import PROBABILITY, WORDS, integers
 from bbq_torchrl.utils.text import FaultsError, shown
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
-    from pathlib import Path
 
 REQUIRED_ACTS = (
     "request",

@@ -3,27 +3,27 @@
 from __future__ import annotations
 
 import os
+from collections.abc import Mapping, Sequence
 from operator import index
-from typing import TYPE_CHECKING, Any, SupportsIndex
+from typing import Any, SupportsIndex
 
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase, Transform
 
-from bbq_torchrl.domains import tensorize
-from bbq_torchrl.simulator import ErrorModel, Rewards, Simulator
+from bbq_torchrl.domains import Domain, tensorize
+from bbq_torchrl.envs.extension import ExtensionSchedule
+from bbq_torchrl.simulator import (
+    Channel,
+    ErrorModel,
+    FeatureLayout,
+    Rewards,
+    Simulator,
+    SlotErrorMode,
+)
+from bbq_torchrl.simulator.profiles import Users
 from bbq_torchrl.utils.seeds import checked_seed, seed_of_process, unshared_seed
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from tensordict import TensorDictBase
-
-    from bbq_torchrl.domains import Domain
-    from bbq_torchrl.envs.extension import ExtensionSchedule
-    from bbq_torchrl.simulator import Channel, FeatureLayout, SlotErrorMode
-    from bbq_torchrl.simulator.profiles import Users
 
 
 class DialogueEnv(EnvBase):

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    from bbq_torchrl.domains import Domain
+from bbq_torchrl.domains import Domain
 
 
 @dataclass(frozen=True)

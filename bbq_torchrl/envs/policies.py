@@ -2,24 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from operator import index
-from typing import TYPE_CHECKING
 
 import torch
+from tensordict import NestedKey, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from torchrl.envs import EnvBase
 
+from bbq_torchrl.domains import Domain
 from bbq_torchrl.domains.domain import PRIVILEGED_POLICY, RANDOM_POLICY
 from bbq_torchrl.domains.values import DONT_CARE, NONE
 from bbq_torchrl.envs.repair import RepairPolicy, indices
 from bbq_torchrl.simulator.choices import pack, popcount
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from tensordict import NestedKey, TensorDictBase
-    from torchrl.envs import EnvBase
-
-    from bbq_torchrl.domains import Domain
 
 
 class ClairvoyantPolicy(TensorDictModuleBase):

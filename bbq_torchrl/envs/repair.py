@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterable, Sequence
 
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import TensorDictModuleBase
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from tensordict import TensorDictBase
-    from torchrl.envs import EnvBase
+from torchrl.envs import EnvBase
 
 MEMORY = "memory"
 """The entry with the policy's memory."""

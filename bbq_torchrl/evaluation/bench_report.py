@@ -6,9 +6,11 @@ A row is a trained seed. The page is a function of the rows, which are written a
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Mapping, Sequence
 from functools import partial
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,10 +29,6 @@ from bbq_torchrl.utils.statistics import (
     stratified,
 )
 from bbq_torchrl.utils.text import EMPTY
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
 
 TRIES = (1, 2, 4, 8)
 """Values of k in pass^k."""

@@ -4,19 +4,17 @@ from __future__ import annotations
 
 import csv
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from statistics import median_low
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy import integrate
 
 from bbq_torchrl.utils.files import METRICS
 from bbq_torchrl.utils.text import sentence
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
 _NEEDED = ("round", "replica", "dialogues", "success_rate")
 

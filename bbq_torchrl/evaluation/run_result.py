@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, replace
+from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from bbq_torchrl.domains.domain import RANDOM_POLICY
 from bbq_torchrl.utils.files import RESULT, write_text
 from bbq_torchrl.utils.statistics import binomial_standard_error
 from bbq_torchrl.utils.text import sentence, shown
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
 
 LAST = 5
 """Number of evaluations averaged in ``last_five``."""

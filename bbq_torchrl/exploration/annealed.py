@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import torch
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import TensorSpec
 from torchrl.modules import EGreedyModule
 
 from bbq_torchrl.exploration.base import explores, schedule
 from bbq_torchrl.networks.q_actor import legal_actions
-
-if TYPE_CHECKING:
-    from tensordict import TensorDictBase
-    from tensordict.utils import NestedKey
-    from torch import Tensor
-    from torchrl.data import TensorSpec
 
 
 class BatchedEGreedy(EGreedyModule):

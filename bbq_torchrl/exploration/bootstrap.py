@@ -2,21 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, cast
+from typing import cast
 
 import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.data import Composite
+from torchrl.modules import QValueActor
 
 from bbq_torchrl.bayes.scope import weight_scope
 from bbq_torchrl.exploration.base import ActorPolicy, Per, explores, weight_sums
 from bbq_torchrl.networks.q_actor import split_actor
 from bbq_torchrl.networks.vote import VoteModule
-
-if TYPE_CHECKING:
-    from tensordict import TensorDictBase
-    from tensordict.utils import NestedKey
-    from torch import Tensor
-    from torchrl.data import Composite
-    from torchrl.modules import QValueActor
 
 
 class _HeadPolicy(ActorPolicy):

@@ -2,10 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.modules import QValueActor
 
+from bbq_torchrl.bayes import GaussianPosterior
 from bbq_torchrl.bayes.layers import local_weight_scope
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
@@ -17,14 +22,6 @@ from bbq_torchrl.exploration.base import (
 )
 from bbq_torchrl.networks.q_actor import split_actor
 from bbq_torchrl.settings import at_least, check, one_of
-
-if TYPE_CHECKING:
-    from tensordict import TensorDictBase
-    from tensordict.utils import NestedKey
-    from torch import Tensor
-    from torchrl.modules import QValueActor
-
-    from bbq_torchrl.bayes import GaussianPosterior
 
 
 class Greedy(ActorPolicy):

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
+from torch import Tensor
+from torchrl.modules import QValueActor
 
+from bbq_torchrl.bayes import GaussianPosterior
 from bbq_torchrl.bayes.layers import local_weight_scope
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import WeightMode, weight_scope
@@ -18,14 +21,6 @@ from bbq_torchrl.exploration.base import (
     posterior_sums,
 )
 from bbq_torchrl.networks.noisy_mlp import noisy_layers
-
-if TYPE_CHECKING:
-    from tensordict import TensorDictBase
-    from tensordict.utils import NestedKey
-    from torch import Tensor
-    from torchrl.modules import QValueActor
-
-    from bbq_torchrl.bayes import GaussianPosterior
 
 
 class ThompsonSampling(ActorPolicy):

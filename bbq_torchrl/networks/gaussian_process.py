@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import pi
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import torch
 import torch.nn.functional as F
@@ -14,9 +15,6 @@ from bbq_torchrl.bayes.layers import BayesLayer
 from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.bayes.scope import WeightMode, current_scope, resolve_weight_mode
 from bbq_torchrl.settings import ABOVE_ZERO, at_least, check, one_of
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 Kernel = Literal["arccos", "rbf"]
 KERNEL = one_of(*get_args(Kernel))

@@ -8,14 +8,10 @@ gradient is 0, and so is the gradient of the closed KL at the prior. (A sampled 
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import torch
+from torch import Tensor
 
 from bbq_torchrl.protocols import Growing, provides
-
-if TYPE_CHECKING:
-    from torch import Tensor
 
 
 @torch.no_grad()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
@@ -11,9 +11,6 @@ from bbq_torchrl.bayes.functional import FlatLayout, as_rows, init_linear_, mlp
 from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.bayes.scope import WEIGHT_MODE, WeightMode, current_scope
 from bbq_torchrl.settings import AT_LEAST_ZERO, BELOW_ONE, at_least, check
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 
 class FlatMLP(nn.Module):

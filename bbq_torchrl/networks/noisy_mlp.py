@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
@@ -12,9 +12,6 @@ from bbq_torchrl.bayes.functional import FlatLayout, as_rows
 from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.bayes.scope import WeightMode, resolve_weight_mode
 from bbq_torchrl.settings import ABOVE_ZERO, check
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 
 class ReplicaNoisyLinear(NoisyLinear):

@@ -2,23 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
 
 import torch
 import torch.nn.functional as F
-from tensordict.nn import TensorDictSequential
-from tensordict.utils import unravel_key
-from torchrl.data import Categorical
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase, TensorDictSequential
+from tensordict.utils import NestedKey, unravel_key
+from torch import Tensor, nn
+from torchrl.data import Categorical, TensorSpec
 from torchrl.modules import QValueActor
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from tensordict import TensorDictBase
-    from tensordict.nn import TensorDictModuleBase
-    from tensordict.utils import NestedKey
-    from torch import Tensor, nn
-    from torchrl.data import TensorSpec
 
 
 def q_actor(

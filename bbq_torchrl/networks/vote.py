@@ -2,21 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import torch
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from tensordict.utils import NestedKey
+from torch import Tensor, nn
 from torchrl.data import Categorical, Composite, OneHot
 from torchrl.modules import QValueActor
 
 from bbq_torchrl.networks.q_actor import check_spec_of_one_action, legal_actions, masked
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from tensordict import TensorDictBase
-    from tensordict.utils import NestedKey
-    from torch import Tensor, nn
 
 
 class VoteModule(TensorDictModuleBase):

@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Hashable, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any, Literal, get_args
+from typing import Any, Literal, get_args
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
+from torchrl.data import TensorSpec
 from torchrl.envs.utils import ExplorationType
+from torchrl.modules import QValueActor
 
-from bbq_torchrl.bayes.noise import NoisePool, SharedNoise
+from bbq_torchrl.bayes.noise import NoisePool, NoiseSource, SharedNoise
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.replicas import checked_number
 from bbq_torchrl.bayes.scope import KLSum
 from bbq_torchrl.bayes.weight_draw import KL_KIND, KLKind
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
+from bbq_torchrl.objectives.value_function import Inputs
 from bbq_torchrl.objectives.weighting import NumData
-from bbq_torchrl.settings import ABOVE_ZERO, AT_LEAST_ZERO, check, one_of
-
-if TYPE_CHECKING:
-    from collections.abc import Hashable, Sequence
-
-    from torch import nn
-    from torchrl.data import TensorSpec
-    from torchrl.modules import QValueActor
-
-    from bbq_torchrl.bayes.noise import NoiseSource
-    from bbq_torchrl.objectives.value_function import Inputs
-    from bbq_torchrl.settings import Allowed
+from bbq_torchrl.settings import ABOVE_ZERO, AT_LEAST_ZERO, Allowed, check, one_of
 
 Target = Literal["map", "mc"]
 TargetNoise = Literal["mean", "independent", "shared"]

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import dispatch
+from tensordict.utils import NestedKey
+from torch import Tensor, nn
+from torchrl.modules import QValueActor
 
+from bbq_torchrl.bayes.scope import WeightMode
 from bbq_torchrl.networks.noisy_mlp import noisy_layers
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 from bbq_torchrl.objectives.td_loss import td_loss
 from bbq_torchrl.objectives.weighting import normalized_weights
-
-if TYPE_CHECKING:
-    from tensordict.utils import NestedKey
-    from torch import Tensor, nn
-    from torchrl.modules import QValueActor
-
-    from bbq_torchrl.bayes.scope import WeightMode
 
 
 class DropoutDQNLoss(OneStepQLoss):

@@ -2,23 +2,19 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
+from torchrl.data import TensorSpec
+from torchrl.modules import QValueActor
 
 from bbq_torchrl.networks.gaussian_process import GaussianProcess
 from bbq_torchrl.networks.q_actor import legal_actions, masked
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 from bbq_torchrl.objectives.weighting import valid_rows
 from bbq_torchrl.settings import ABOVE_ZERO, at_least, check, one_of
-
-if TYPE_CHECKING:
-    from tensordict import TensorDictBase
-    from torchrl.data import TensorSpec
-    from torchrl.modules import QValueActor
-
 
 Target = Literal["mean", "draw"]
 TARGET = one_of(*get_args(Target))

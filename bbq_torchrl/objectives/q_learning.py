@@ -2,34 +2,29 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from operator import is_not
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import dispatch
+from tensordict.utils import NestedKey
+from torch import Tensor, nn
 from torchrl.data import TensorSpec
 from torchrl.data.utils import _find_action_space
+from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss
 from torchrl.objectives.utils import ValueEstimators
 
 from bbq_torchrl.bayes.replicas import checked_number, replicas_of
+from bbq_torchrl.bayes.scope import WeightMode
 from bbq_torchrl.networks.q_actor import legal_actions, masked
 from bbq_torchrl.objectives.td_loss import DISTANCE, Distance, margin_loss, td_loss
-from bbq_torchrl.objectives.value_function import ValueFunction
+from bbq_torchrl.objectives.value_function import Inputs, ValueFunction
 from bbq_torchrl.objectives.weighting import normalized_weights, row_entry
 from bbq_torchrl.settings import ABOVE_ZERO, PROBABILITY, check
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from tensordict.utils import NestedKey
-    from torch import Tensor, nn
-    from torchrl.modules import QValueActor
-
-    from bbq_torchrl.bayes.scope import WeightMode
-    from bbq_torchrl.objectives.value_function import Inputs
 
 
 class OneStepQLoss(DQNLoss):

@@ -2,29 +2,21 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Sequence
+from typing import Any, TypeAlias
 
-from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModule
-from torch import nn
+from tensordict import TensorDictBase, TensorDictParams
+from tensordict.nn import TensorDictModule, TensorDictModuleBase
+from tensordict.utils import NestedKey
+from torch import Tensor, nn
 from torch.nn.modules.dropout import _DropoutNd
 
 from bbq_torchrl.bayes.posterior import GaussianPosterior
-from bbq_torchrl.bayes.scope import weight_scope
+from bbq_torchrl.bayes.scope import WeightMode, weight_scope
 from bbq_torchrl.networks.q_actor import split_actor
 
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from typing import TypeAlias
-
-    from tensordict import TensorDictParams
-    from tensordict.nn import TensorDictModuleBase
-    from tensordict.utils import NestedKey
-    from torch import Tensor
-
-    from bbq_torchrl.bayes.scope import WeightMode
-
-    Inputs: TypeAlias = Sequence[Tensor] | TensorDictBase  # entries, or a TensorDict
+Inputs: TypeAlias = Sequence[Tensor] | TensorDictBase
+"""Entries, or a TensorDict."""
 
 _WITH_DROPOUT = (_DropoutNd, nn.RNNBase, nn.MultiheadAttention)  # by their training flags
 

@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 
 import torch
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey
 from torch import Tensor, nn
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from tensordict import TensorDictBase
-    from tensordict.utils import NestedKey
-    from torch import Tensor
-    from torchrl.objectives import LossModule
+from torchrl.objectives import LossModule
 
 
 def row_entry(tensordict: TensorDictBase, key: NestedKey, rows: torch.Size) -> Tensor | None:

@@ -9,20 +9,17 @@ import importlib
 import os
 import sys
 from abc import ABC
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, fields
 from importlib.metadata import entry_points
 from os.path import expanduser
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 from bbq_torchrl.settings import REQUIRED, ConfigError
 from bbq_torchrl.utils.files import read_yaml
 from bbq_torchrl.utils.text import sentence, shown
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-
 
 ENTRY_POINTS = "bbq_torchrl.options"
 """The entry-point group of packages with options; each entry point is a module."""

@@ -8,17 +8,18 @@ Options of other packages add such checks in the same way::
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bbq_torchrl.options.agent import BBQN, DQN, GP, AgentOption
 from bbq_torchrl.options.env import DomainOption, EnvOption, FullDomain
-from bbq_torchrl.options.explore import ExploreOption  # noqa: TC001
-from bbq_torchrl.options.intrinsic import IntrinsicOption  # noqa: TC001
-from bbq_torchrl.options.logger import LoggerOption  # noqa: TC001
-from bbq_torchrl.options.protocol import ProtocolOption  # noqa: TC001
+from bbq_torchrl.options.explore import ExploreOption
+from bbq_torchrl.options.intrinsic import IntrinsicOption
+from bbq_torchrl.options.logger import LoggerOption
+from bbq_torchrl.options.protocol import ProtocolOption
 from bbq_torchrl.options.registry import Option, conf_folder, explorations, schemas
-from bbq_torchrl.options.spike import SpikeOption  # noqa: TC001
+from bbq_torchrl.options.spike import SpikeOption
 from bbq_torchrl.options.task import lists
 from bbq_torchrl.settings import (
     ANY_TEXT,
@@ -37,9 +38,6 @@ from bbq_torchrl.settings import (
     optional,
     setting,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 PLAYED = integers(1, 10**7)
 DEVICE = Allowed(

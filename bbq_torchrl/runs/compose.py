@@ -7,9 +7,10 @@ import contextlib
 import copy
 import os
 import sys
+from collections.abc import Iterator, Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import TYPE_CHECKING, TypeVar
+from typing import TypeVar
 
 from hydra import compose as hydra_compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
@@ -32,9 +33,6 @@ from bbq_torchrl.options.registry import conf_folder, load_folder, options_folde
 from bbq_torchrl.options.root import ROOTS, register_options
 from bbq_torchrl.settings import ConfigError, walk
 from bbq_torchrl.utils.text import sentence
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
 
 Root = TypeVar("Root", Config, EvaluateConfig, CalibrateConfig)
 

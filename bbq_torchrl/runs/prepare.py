@@ -8,9 +8,10 @@ from __future__ import annotations
 import multiprocessing
 import os
 import sys
+from collections.abc import Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from hydra.experimental.callback import Callback
 from hydra.utils import to_absolute_path
@@ -25,9 +26,6 @@ from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.files import CONFIG
 from bbq_torchrl.utils.text import shown
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 _ON_THIS_MACHINE = ("cores", "joblib", "basic")
 """Launchers whose jobs are this process or its children."""

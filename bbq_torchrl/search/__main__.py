@@ -10,7 +10,7 @@ if __name__ == "__main__":  # before anything that takes time to import
 import json
 import logging
 import sys
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 from omegaconf.errors import OmegaConfBaseException
 from yaml import YAMLError
@@ -23,9 +23,6 @@ from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.extras import needed
 from bbq_torchrl.utils.output import page
 from bbq_torchrl.utils.text import sentence
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 USAGE = """\
 usage: bbq search search=<name> [search.<key>=<value> ...] [<key>=<value> ...]

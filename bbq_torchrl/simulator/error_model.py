@@ -2,21 +2,18 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal, Protocol, get_args
+from typing import Literal, Protocol, get_args
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 
+from bbq_torchrl.domains import DomainTensors
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import NONE
 from bbq_torchrl.settings import PROBABILITY, check, one_of
 from bbq_torchrl.simulator.choices import index_below
 from bbq_torchrl.simulator.tracker import AgentTurn, Utterance
-
-if TYPE_CHECKING:
-    from tensordict import TensorDictBase
-
-    from bbq_torchrl.domains import DomainTensors
 
 SlotErrorMode = Literal["value", "slot", "delete", "mixed"]
 

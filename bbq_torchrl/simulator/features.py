@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 
+from bbq_torchrl.domains import DomainTensors
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import NONE
 from bbq_torchrl.settings import REWARD, check
 from bbq_torchrl.simulator.choices import one_hot, rows
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from tensordict import TensorDictBase
-
-    from bbq_torchrl.domains import DomainTensors
-    from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
-
+from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 
 TURN_SCALE = 10.0  # acts; keeps the turn feature near the size of the flags
 COUNT_SCALE = 100.0  # records

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Sequence
 
 import torch
 from torch import Tensor
 
+from bbq_torchrl.domains import DomainTensors
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import DONT_CARE, FIRST_VALUE, NO_MATCH, NONE
 from bbq_torchrl.simulator.choices import WORD_BITS, byte_counts, pack, popcount, rows
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from bbq_torchrl.domains import DomainTensors
 
 _BYTE_BITS = 8
 _WORD_BYTES = WORD_BITS // _BYTE_BITS

@@ -4,30 +4,23 @@ from __future__ import annotations
 
 import json
 from collections import Counter, defaultdict
+from collections.abc import Mapping, Sequence
 from functools import reduce
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
-from bbq_torchrl.domains.frames import Coding
+from bbq_torchrl.domains import Domain, DomainTensors
+from bbq_torchrl.domains.frames import Coding, Frame
 from bbq_torchrl.domains.tensors import Movable, tensorize
 from bbq_torchrl.domains.values import NONE, fold, value_ids
 from bbq_torchrl.simulator.choices import one_hot, rows
-from bbq_torchrl.simulator.error_model import ABOVE_IDS
-from bbq_torchrl.simulator.tracker import Utterance
+from bbq_torchrl.simulator.error_model import ABOVE_IDS, Channel
+from bbq_torchrl.simulator.tracker import AgentTurn, Utterance
 from bbq_torchrl.utils.text import shown
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from tensordict import TensorDictBase
-
-    from bbq_torchrl.domains import Domain, DomainTensors
-    from bbq_torchrl.domains.frames import Frame
-    from bbq_torchrl.simulator.error_model import Channel
-    from bbq_torchrl.simulator.tracker import AgentTurn
 
 CONTEXTS = ("opening", "asked", "beside", "corrected", "told")
 """The contexts in which a user mentions a slot: the opening; after the agent has requested the

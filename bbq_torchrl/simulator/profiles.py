@@ -5,12 +5,13 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
+from bbq_torchrl.domains import DomainTensors
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import DONT_CARE, NONE
 from bbq_torchrl.settings import (
@@ -26,11 +27,6 @@ from bbq_torchrl.settings import (
     setting,
 )
 from bbq_torchrl.simulator.choices import index_below, rows
-
-if TYPE_CHECKING:
-    from tensordict import TensorDictBase
-
-    from bbq_torchrl.domains import DomainTensors
 
 HABITS = ("insists", "asks_late", "confirms", "changes_mind", "withholds", "explains")
 """The keys of a :class:`Profile` that are probabilities."""

@@ -2,34 +2,24 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping, Sequence
+from typing import Any
 
 import torch
-from tensordict import TensorDict
+from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
-from bbq_torchrl.domains.frames import Coding
+from bbq_torchrl.domains import DomainTensors
+from bbq_torchrl.domains.frames import Coding, Frame
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import NO_MATCH, NONE
 from bbq_torchrl.settings import check, integers
-from bbq_torchrl.simulator.error_model import ErrorModel
-from bbq_torchrl.simulator.features import Features, Rewards
+from bbq_torchrl.simulator.error_model import Channel, ErrorModel
+from bbq_torchrl.simulator.features import FeatureLayout, Features, Rewards
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
-from bbq_torchrl.simulator.profiles import Mix, profiles_of
-from bbq_torchrl.simulator.tracker import Tracker, Utterance
+from bbq_torchrl.simulator.profiles import Mix, Users, profiles_of
+from bbq_torchrl.simulator.tracker import AgentTurn, Tracker, Utterance
 from bbq_torchrl.simulator.user import MixedUser, User
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from tensordict import TensorDictBase
-
-    from bbq_torchrl.domains import DomainTensors
-    from bbq_torchrl.domains.frames import Frame
-    from bbq_torchrl.simulator.error_model import Channel
-    from bbq_torchrl.simulator.features import FeatureLayout
-    from bbq_torchrl.simulator.profiles import Users
-    from bbq_torchrl.simulator.tracker import AgentTurn
 
 _ACTS_PER_TURN = 2
 

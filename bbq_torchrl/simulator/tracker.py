@@ -3,18 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor
 
+from bbq_torchrl.domains import DomainTensors
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, NONE
 from bbq_torchrl.simulator.choices import index_below, one_hot, rows
-
-if TYPE_CHECKING:
-    from bbq_torchrl.domains import DomainTensors
-    from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
+from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 
 
 @dataclass(frozen=True)

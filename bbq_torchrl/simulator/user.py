@@ -2,21 +2,16 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor
 
+from bbq_torchrl.domains import DomainTensors
 from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import DONT_CARE, NO_MATCH, NONE
 from bbq_torchrl.simulator.choices import index_below, pick_slot, rows
-
-if TYPE_CHECKING:
-    from tensordict import TensorDictBase
-
-    from bbq_torchrl.domains import DomainTensors
-    from bbq_torchrl.simulator.profiles import Mix
-    from bbq_torchrl.simulator.tracker import AgentTurn
+from bbq_torchrl.simulator.profiles import Mix
+from bbq_torchrl.simulator.tracker import AgentTurn
 
 
 class User(Movable):

@@ -21,20 +21,16 @@ import pickle
 import re
 import shutil
 import zipfile
+from collections.abc import Mapping
+from pathlib import Path
 from textwrap import shorten
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 from torchrl.checkpoint import Checkpoint, CheckpointError, StateDictCheckpointAdapter
 
 from bbq_torchrl.trainers.errors import CheckpointDamagedError, CheckpointMismatchError
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-    from pathlib import Path
-
-    from torch import nn
 
 _LOG = logging.getLogger(__name__)
 _NAME = re.compile(r"round-(\d{6,})\.torchrl")

@@ -6,20 +6,16 @@ import logging
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from statistics import fmean
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
 from tensordict import NestedKey, TensorDictBase
 from torch import Tensor, nn
+from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
+from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.trainers.errors import SpikeError, TrainingError
-
-if TYPE_CHECKING:
-    from torchrl.envs import EnvBase
-
-    from bbq_torchrl.data import ReplicaReplay
-
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import ctypes
 import sys
+from collections.abc import Callable, Iterator
 from dataclasses import KW_ONLY, dataclass, field
-from typing import TYPE_CHECKING
 
 import torch
+from tensordict import TensorDictBase
 from torch import Tensor, nn
+from torchrl.objectives.utils import TargetNetUpdater
 
+from bbq_torchrl.data import Batch, ReplicaReplay
 from bbq_torchrl.protocols import (
     BeginsEpochs,
     FitsBuffers,
@@ -20,15 +23,6 @@ from bbq_torchrl.protocols import (
 )
 from bbq_torchrl.trainers.errors import TrainingError
 from bbq_torchrl.utils.seeds import derive_seed
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
-
-    from tensordict import TensorDictBase
-    from torchrl.objectives.utils import TargetNetUpdater
-
-    from bbq_torchrl.data import Batch, ReplicaReplay
-
 
 _PENDING_UPDATES = 64  # added up at once
 

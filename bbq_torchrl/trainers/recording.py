@@ -6,23 +6,19 @@ import csv
 import logging
 import math
 import multiprocessing
+from collections.abc import Mapping, Sequence
 from io import StringIO
+from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from torch import Tensor
+from torchrl.record.loggers import Logger
 from tqdm import tqdm
 
 from bbq_torchrl.trainers.errors import TrainingError
 from bbq_torchrl.utils.files import write_text
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-    from pathlib import Path
-
-    from torchrl.record.loggers import Logger
-
 
 MetricRow = dict[str, int | float]
 """The metrics of one round and replica."""

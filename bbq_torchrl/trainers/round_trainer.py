@@ -4,24 +4,28 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from contextlib import closing
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torchrl.envs import EnvBase
+from torchrl.record.loggers import Logger
 
+from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.protocols import (
     Annealed,
+    EvaluationHook,
     Resampled,
     SeesSuccess,
     enter_round,
     modules_with,
 )
 from bbq_torchrl.trainers.checkpoint import CheckpointFolder
-from bbq_torchrl.trainers.collect import collect_dialogues
+from bbq_torchrl.trainers.collect import Spike, collect_dialogues
 from bbq_torchrl.trainers.errors import (
     CheckpointDamagedError,
     NonFiniteLossError,
@@ -32,16 +36,6 @@ from bbq_torchrl.trainers.learn import Learner, seed_phase
 from bbq_torchrl.trainers.recording import MetricRow, MetricsFile, RoundProgress
 from bbq_torchrl.utils.files import CHECKPOINTS, METRICS
 from bbq_torchrl.utils.seeds import derive_seed
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from torchrl.envs import EnvBase
-    from torchrl.record.loggers import Logger
-
-    from bbq_torchrl.data import ReplicaReplay
-    from bbq_torchrl.protocols import EvaluationHook
-    from bbq_torchrl.trainers.collect import Spike
 
 
 @dataclass(eq=False)

@@ -5,14 +5,12 @@ from __future__ import annotations
 import os
 import re
 from functools import partial
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import yaml
 
 from bbq_torchrl.utils.text import sentence, shown
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 CONFIG = "config.yaml"
 """The composed configuration."""

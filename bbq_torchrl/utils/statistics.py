@@ -9,19 +9,17 @@ from __future__ import annotations
 
 import math
 import warnings
+from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass, field
+from fractions import Fraction
 from itertools import chain
 from statistics import fmean
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy import special, stats
 
 from bbq_torchrl.utils.text import EMPTY
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Sequence
-    from fractions import Fraction
 
 CONFIDENCE = 0.95
 """Confidence level of every interval."""

@@ -4,11 +4,7 @@ from __future__ import annotations
 
 import reprlib
 import unicodedata
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
+from collections.abc import Sequence
 
 EMPTY = "–"
 """A missing value, as text and in tables."""

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Literal
+from collections.abc import Sequence
+from typing import Literal
 
 import torch
 from torch import Tensor, nn
 
 from bbq_torchrl.bayes.bayes_mlp import BayesMLP
 from bbq_torchrl.bayes.functional import as_rows
+from bbq_torchrl.bayes.layers import MeanInit
+from bbq_torchrl.bayes.scope import WeightMode
 from bbq_torchrl.settings import ABOVE_ZERO, at_least, check
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from bbq_torchrl.bayes.layers import MeanInit
-    from bbq_torchrl.bayes.scope import WeightMode
 
 
 class DynamicsModel(nn.Module):

@@ -3,24 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import torch
 from tensordict import TensorDict, TensorDictBase
 from tensordict.nn import dispatch
-from tensordict.utils import unravel_key
-from torch import nn
+from tensordict.utils import NestedKey, unravel_key
+from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
 from bbq_torchrl.bayes.scope import KLSum, weight_scope
 from bbq_torchrl.objectives.weighting import NumData, row_weights
 from bbq_torchrl.settings import AT_LEAST_ZERO, COUNT, check
-
-if TYPE_CHECKING:
-    from tensordict.utils import NestedKey
-    from torch import Tensor
-
-    from bbq_torchrl.vime.dynamics import DynamicsModel
+from bbq_torchrl.vime.dynamics import DynamicsModel
 
 
 class DynamicsLoss(NumData, LossModule):

@@ -21,20 +21,14 @@ Gains are measured in units of a running median, :class:`RunningMedian`.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from math import prod
-from typing import TYPE_CHECKING
 
 import torch
 from torch import Tensor, nn
 
 from bbq_torchrl.bayes.functional import affine, run_layers
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from torch import Tensor
-
-    from bbq_torchrl.vime.dynamics import DynamicsModel
+from bbq_torchrl.vime.dynamics import DynamicsModel
 
 
 @torch.no_grad()

@@ -2,27 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Sequence
 from math import prod
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import Literal, get_args
 
 import torch
 import torch.nn.functional as F
-from tensordict.utils import unravel_key
+from tensordict import TensorDictBase
+from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.envs import Transform
 
 from bbq_torchrl.bayes.replicas import checked_number
 from bbq_torchrl.settings import ABOVE_ZERO, AT_LEAST_ZERO, at_least, check, one_of
 from bbq_torchrl.utils.seeds import checked_seed
+from bbq_torchrl.vime.dynamics import DynamicsModel
 from bbq_torchrl.vime.information_gain import RunningMedian, information_gain
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from tensordict import TensorDictBase
-    from tensordict.utils import NestedKey
-
-    from bbq_torchrl.vime.dynamics import DynamicsModel
 
 GainWeights = Literal["map", "mc"]
 

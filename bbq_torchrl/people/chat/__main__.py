@@ -7,11 +7,12 @@ if __name__ == "__main__":  # before anything that takes time to import
 
     interruption.listen()
 
+import argparse
 import io
 import os
 import sys
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bbq_torchrl.options.registry import load_folder
 from bbq_torchrl.people.dialogue import RULES
@@ -19,10 +20,6 @@ from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import output
 from bbq_torchrl.utils.output import between, page
 from bbq_torchrl.utils.text import shown
-
-if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable, Sequence
 
 _KEY = "BBQ_ENDPOINT_KEY"
 

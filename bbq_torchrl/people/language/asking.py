@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
 from bbq_torchrl.domains.frames import Frame
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 OPENING = Frame("none")
 """Placeholder for the agent's last act before it has acted."""

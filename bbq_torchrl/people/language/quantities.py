@@ -8,12 +8,10 @@ from __future__ import annotations
 
 import calendar
 import re
-from typing import TYPE_CHECKING, Literal, get_args
+from collections.abc import Callable, Iterable
+from typing import Literal, get_args
 
 from bbq_torchrl.people.language.words import ENGLISH, pairs, tokenize, word_set
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
 
 UNITS = ENGLISH["units"].split()
 """Zero to nineteen."""

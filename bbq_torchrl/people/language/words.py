@@ -4,16 +4,14 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from collections.abc import Sequence
 from itertools import groupby, pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import yaml
 
 from bbq_torchrl.utils.text import TextError, clean
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
 
 ENGLISH: dict[str, Any] = yaml.safe_load(
     Path(__file__).with_name("english.yaml").read_text(encoding="utf-8")

@@ -7,13 +7,15 @@ if __name__ == "__main__":  # before anything that takes time to import
 
     interruption.listen()
 
+import argparse
 import os
 import pkgutil
 import sys
+from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bbq_torchrl.people.study.address import Address, listen
 from bbq_torchrl.people.study.plan import data_of, load_study
@@ -21,10 +23,6 @@ from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.extras import needed
 from bbq_torchrl.utils.output import between, page
 from bbq_torchrl.utils.text import shown
-
-if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable, Sequence
 
 TALKER = "bbq_torchrl.people.study.players:make_talker"
 USERS = "bbq_torchrl.people.study.players:make_users"

@@ -4,18 +4,16 @@ from __future__ import annotations
 
 import json
 import sqlite3
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from filelock import FileLock, Timeout
 
 from bbq_torchrl.domains.frames import Frame
 from bbq_torchrl.people.study.plan import StudyError
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
-    from pathlib import Path
 
 SCALES = ("overall", "naturalness", "coherence", "completion")
 """The scales that participants rate from 1 to 5; the first is the paper's only one."""

@@ -6,12 +6,14 @@ import hashlib
 import json
 import math
 from collections import defaultdict
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cache
 from itertools import chain, pairwise, starmap
+from pathlib import Path
 from statistics import fmean, median
-from typing import TYPE_CHECKING, NamedTuple, TypeVar
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 from scipy import optimize, special, stats
@@ -35,10 +37,6 @@ from bbq_torchrl.utils.statistics import (
     participant_mean,
     sign_flip,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Mapping, Sequence
-    from pathlib import Path
 
 Value = TypeVar("Value")
 
