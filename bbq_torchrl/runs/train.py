@@ -60,6 +60,7 @@ def main() -> None:
         hydra_main()
     finally:
         interruption.exit_if_interrupted()
+        output.write("")  # flushes what Hydra printed
 
 
 @hydra.main(version_base="1.3", config_path=str(conf_folder()), config_name="config")

@@ -14,7 +14,7 @@ from contextlib import contextmanager, suppress
 from functools import wraps
 from io import TextIOWrapper
 from pathlib import Path
-from typing import Any, ParamSpec
+from typing import Any, ParamSpec, TextIO
 
 from bbq_torchrl.utils.text import sentence, shown
 
@@ -44,7 +44,7 @@ def write(text: str) -> None:
         sys.stdout.write(text)
         sys.stdout.flush()
     except OSError as error:
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # for Python's last flush
+        _discard(sys.stdout)
         if isinstance(error, BrokenPipeError):
             sys.exit(NO_READER)
         print_error(f"error: standard output cannot be written: {sentence(error)}")
@@ -59,9 +59,18 @@ def escape() -> None:
 
 def print_error(line: str) -> None:
     """Prints a line to standard error, if possible."""
-    with suppress(OSError):
+    if sys.stderr is None:  # closed before Python started
+        return
+    try:
         sys.stderr.write(f"{line}\n")
         sys.stderr.flush()
+    except OSError:
+        _discard(sys.stderr)
+
+
+def _discard(stream: TextIO) -> None:
+    """Redirects a stream to nowhere, so that Python's last flush does not fail."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), stream.fileno())
 
 
 @contextmanager
@@ -94,7 +103,7 @@ def refusing(main: Callable[Given, int]) -> Callable[Given, int]:
 
 
 class Parser(argparse.ArgumentParser):
-    """argparse's parser with the description left as written.
+    """argparse's parser with help printed by :func:`write`, and the description left as written.
 
     argparse would break the path of a page at a hyphen.
     """
@@ -102,6 +111,10 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, **kwargs: Any) -> None:
         raw = argparse.RawDescriptionHelpFormatter
         super().__init__(**{"formatter_class": raw, **kwargs})
+
+    def print_help(self, file: Any = None) -> None:
+        """Prints the help to standard output."""
+        write(self.format_help())
 
 
 def between(kind: type[int] | type[float], low: float, high: float) -> Callable[[str], float]:
