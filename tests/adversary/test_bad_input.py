@@ -90,7 +90,7 @@ def rows():
         yield pytest.param(row, id=name, marks=() if row.get("daily") else pytest.mark.slow)
 
 
-@pytest.mark.parametrize("row", rows())
+@pytest.mark.parametrize("row", list(rows()))
 def test_what_cannot_be_done_is_refused_by_the_name_of_the_fault(row, place, capsys):
     folder = place(row.get("damage"))
     before = paths(folder)

@@ -76,7 +76,7 @@ def pairs():
                     yield f"{option.group}.{item.name}", ours, part.__name__, name, argument.default
 
 
-@pytest.mark.parametrize(("key", "ours", "part", "argument", "its"), pairs())
+@pytest.mark.parametrize(("key", "ours", "part", "argument", "its"), list(pairs()))
 def test_a_key_has_the_default_of_its_argument_unless_there_is_a_reason(
     key, ours, part, argument, its
 ):

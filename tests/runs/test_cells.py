@@ -79,7 +79,7 @@ def daily_or_nightly():
         met |= chosen
 
 
-@pytest.mark.parametrize("cell", daily_or_nightly())
+@pytest.mark.parametrize("cell", list(daily_or_nightly()))
 def test_a_cell_trains_at_once_or_resumed_bitwise_the_same_and_evaluates(cell, composed, tmp_path):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     config = composed(*CELLS[cell])
