@@ -11,6 +11,7 @@ all trials share. An entry of the space has the arguments of Optuna's ``suggest_
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import dataclass
 from functools import cached_property
 from os.path import expanduser
@@ -24,9 +25,11 @@ from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.settings import (
     ANY_TEXT,
     BELOW_ONE,
+    BOOLEAN,
     COUNT,
     SEED,
     ConfigError,
+    check,
     filled,
     one_of,
     optional,
@@ -157,11 +160,12 @@ def compose_search(arguments: Sequence[str]) -> Search:
         if not equals:
             raise ConfigError(f"arguments must be <key>=<value>, got {argument}")
         if key.startswith(f"{SEARCH}."):
-            value = OmegaConf.from_dotlist([f"value={text}"])["value"]
+            # YAML would read an empty text as null.
+            value = OmegaConf.from_dotlist([f"value={text}"])["value"] if text else text
             OmegaConf.update(given, key.removeprefix(f"{SEARCH}."), value, merge=False)
         elif key != SEARCH:
             fixed[key.lstrip("+")] = argument
-    if refused := {"resume", "hydra"} & {key.partition(".")[0] for key in fixed}:
+    if refused := {"resume", "hydra"} & {re.split("[./]", key)[0] for key in fixed}:
         raise ConfigError(f"{refused.pop()} cannot be part of a search")
     space = {
         key: _checked_entry(f"{SEARCH}.space.{key}", entry)
@@ -227,6 +231,7 @@ def _checked_entry(key: str, entry: dict[str, Any]) -> dict[str, Any]:
     arguments = {name: value for name, value in entry.items() if name != "type"}
     if entry["type"] not in kinds:
         raise ConfigError(f"{key}.type must be one of {', '.join(kinds)}, got {entry['type']!r}")
+    check(f"{key}.log", entry.get("log", False), BOOLEAN, ConfigError)
     try:
         kinds[entry["type"]](**arguments)
     except (TypeError, ValueError) as error:
