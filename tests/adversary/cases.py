@@ -1,8 +1,8 @@
 """The cases of the adversary tests, and their counts.
 
-Environment variables set the counts, ``BBQ_KILLS`` (10), ``BBQ_DAMAGES`` (50) and ``BBQ_INPUTS``
-(45 damaged folders of the table of bad inputs), and ``BBQ_SEED``, the seed of all moments, damages
-and choices. By default every run has a new seed, which is printed when a test fails.
+Environment variables set the counts, ``BBQ_KILLS`` (10) and ``BBQ_DAMAGES`` (50), and ``BBQ_SEED``,
+the seed of all moments, damages and choices. By default every run has a new seed, which is printed
+when a test fails.
 """
 
 import os
@@ -12,7 +12,6 @@ import tiny
 
 KILLS = int(os.environ.get("BBQ_KILLS", "10"))
 DAMAGES = int(os.environ.get("BBQ_DAMAGES", "50"))
-INPUTS = int(os.environ.get("BBQ_INPUTS", "45"))
 SEED = int(os.environ.get("BBQ_SEED", "0")) or time.time_ns() % 2**32
 os.environ["BBQ_SEED"] = str(SEED)  # the workers of pytest-xdist inherit it
 

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import pytest
 
-from .cases import CONFIGURATIONS, DAMAGES, INPUTS, KILLS, SEED
+from .cases import CONFIGURATIONS, DAMAGES, KILLS, SEED
 from .commands import Commands
 from .folders import Reference
 
@@ -37,7 +37,7 @@ def pytest_sessionfinish(session, exitstatus):
     file = os.environ.get("BBQ_RECORD")
     is_worker = hasattr(session.config, "workerinput")  # of pytest-xdist
     if file and exitstatus == 0 and not is_worker:
-        sizes = f"BBQ_KILLS={KILLS} BBQ_DAMAGES={DAMAGES} BBQ_INPUTS={INPUTS}"
+        sizes = f"BBQ_KILLS={KILLS} BBQ_DAMAGES={DAMAGES}"
         found = {"command": f"{sizes} scripts/check adversary", "outcomes": dict(OUTCOMES)}
         path = Path(file)
         before = json.loads(path.read_text(encoding="utf-8")) if path.is_file() else {}

@@ -138,7 +138,7 @@ def test_references_are_drawn_where_all_runs_have_the_same_users(add):
     [
         # a target and a gain that differ are both named
         ({"name": "bbqn", "target": "mc"}, {"name": "vime", "weights": "map"}, "BBQN-MC-VIME-MAP"),
-        # keys of options of one's own are no part of a name
+        # a name leaves out the keys of a user's options
         ({"name": "polyak", "target": 0.005, "noisy": 0.1}, {"name": "none"}, "POLYAK"),
         ({"name": "lnq"}, {"name": "vime", "weights": "mc"}, "LNQ-VIME-MC"),
         ({"name": "bbqn", "target": "mc"}, {"name": "novelty", "weights": "mc"}, "BBQN-MC-NOVELTY"),
