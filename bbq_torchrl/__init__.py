@@ -10,6 +10,7 @@ environment, policy and configuration; :func:`config_dir` is for Hydra's Compose
 
 from __future__ import annotations
 
+import os
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -18,6 +19,9 @@ if TYPE_CHECKING:
 __all__ = ["__version__", "config_dir", "load_run", "train"]
 
 __version__ = "0.3.0"
+
+# TorchRL logs to standard output, which is for results.
+os.environ.setdefault("TORCHRL_CONSOLE_STREAM", "stderr")
 
 
 def __getattr__(name: str) -> Any:

@@ -28,6 +28,7 @@ from typing import Any
 
 import torch
 from torch import Tensor, nn
+from torchrl import torchrl_logger
 from torchrl.checkpoint import Checkpoint, CheckpointError, StateDictCheckpointAdapter
 
 from bbq_torchrl.trainers.errors import CheckpointDamagedError, CheckpointMismatchError
@@ -184,6 +185,12 @@ class CheckpointFolder:
             CheckpointDamagedError: if it has more than tensors and plain values.
             CheckpointMismatchError: if it has another configuration.
         """
+
+        # TorchRL warns of every other version; what no longer fits is an error below.
+        def errors(record: logging.LogRecord) -> bool:
+            return record.levelno >= logging.ERROR
+
+        torchrl_logger.addFilter(errors)
         # Each component moves its state to its device, as the run may continue on a machine without
         # the device that the checkpoint was saved from.
         try:
@@ -199,6 +206,8 @@ class CheckpointFolder:
             raise CheckpointMismatchError(
                 f"the checkpoint {path} is of another configuration: {reason}"
             ) from error
+        finally:
+            torchrl_logger.removeFilter(errors)
 
     def keep_only(self, *names: str) -> None:
         """Reduces the newest checkpoint to these components, which it loads; removes the others.

@@ -1,8 +1,12 @@
 """Agents that come with the package load as runs do, and are what was trained."""
 
+import json
+
+import forked
 import pytest
 import torch
 import yaml
+from planted import rewritten
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl import load_run
@@ -30,6 +34,23 @@ def test_a_shipped_agent_does_what_its_result_says(name):
     # five standard errors of a difference of two rates
     assert line["success_rate"] == pytest.approx(result.success_rate, abs=0.11)
     assert line["mode"] == result.policy
+
+
+@pytest.mark.slow
+def test_nothing_but_the_result_is_printed_of_weights_saved_with_other_versions(
+    finished, copy, tmp_path
+):
+    def older(members):
+        manifest = json.loads(members["manifest.json"])
+        manifest["versions"] = dict.fromkeys(manifest["versions"], "0.0.1")
+        members["manifest.json"] = json.dumps(manifest).encode()
+
+    (saved,) = (copy(finished) / "checkpoint").iterdir()
+    rewritten(saved, older)
+    evaluate_it = ("-m", "bbq_torchrl.cli.evaluate", f"policy={tmp_path / 'run'}", "dialogues=4")
+    out, error = forked.python(*evaluate_it, cwd=tmp_path)
+    assert json.loads(out)["dialogues"] == 4
+    assert not error
 
 
 def test_a_key_of_the_environment_changes_the_runs_own():
