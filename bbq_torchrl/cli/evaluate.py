@@ -21,6 +21,7 @@ from bbq_torchrl.runs.folders import run_config
 from bbq_torchrl.runs.shipped import run_folder
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
+from bbq_torchrl.utils.files import write_text
 from bbq_torchrl.utils.output import page
 from bbq_torchrl.utils.text import as_typed, shown
 
@@ -163,7 +164,7 @@ def _write_log(config: EvaluateConfig, env: DialogueEnv, policy: TensorDictModul
     dialogues = min(config.log_dialogues, config.dialogues)
     texts = transcripts(env, policy, dialogues, seed=config.seed)
     try:
-        file.write_text("\n".join(texts), encoding="utf-8")
+        write_text(file, "\n".join(texts))
     except OSError as error:
         raise ConfigError(f"log={config.log} cannot be written: {error.strerror}") from error
 

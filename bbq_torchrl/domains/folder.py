@@ -42,7 +42,7 @@ from bbq_torchrl.settings import (
     filled,
     setting,
 )
-from bbq_torchrl.utils.files import read_yaml
+from bbq_torchrl.utils.files import read_yaml, write_text
 from bbq_torchrl.utils.text import FaultsError, shown
 
 if TYPE_CHECKING:
@@ -339,4 +339,4 @@ def save_data(
         (GOALS_FILE, "".join(lines)),
         (VALUES_FILE, dump(values, indent=1) + "\n"),
     ):
-        Path(folder, name).write_text(text, encoding="utf-8", newline="\n")
+        write_text(Path(folder, name), text)

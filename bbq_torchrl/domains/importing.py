@@ -26,6 +26,7 @@ from bbq_torchrl.domains.miulab import fitted, read_corpus
 from bbq_torchrl.domains.values import misspellings, plain, unlisted
 from bbq_torchrl.settings import check, one_of
 from bbq_torchrl.utils import output
+from bbq_torchrl.utils.files import write_text
 
 if TYPE_CHECKING:
     import argparse
@@ -137,7 +138,7 @@ def _import(given: argparse.Namespace) -> tuple[Domain, list[str]]:
     text = yaml.safe_dump(
         specification, sort_keys=False, width=100, allow_unicode=True, default_flow_style=None
     )
-    (folder / SPECIFICATION_FILE).write_text(text, encoding="utf-8", newline="\n")
+    write_text(folder / SPECIFICATION_FILE, text)
     columns = [slot for slot in slots if any(slot in record for record in domain.records)]
     save_data(folder, columns, domain.records, domain.goals, lists)
     return load_domain(folder), changes

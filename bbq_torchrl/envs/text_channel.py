@@ -24,6 +24,7 @@ from bbq_torchrl.people.language.understander import cached_understander
 from bbq_torchrl.simulator import Utterance
 from bbq_torchrl.simulator.choices import index_below
 from bbq_torchrl.simulator.measured_errors import ERRORS_FILE, ErrorCounter
+from bbq_torchrl.utils.files import write_text
 from bbq_torchrl.utils.seeds import checked_seed
 
 if TYPE_CHECKING:
@@ -252,7 +253,7 @@ def _play(
 def save_errors(folder: Path, counts: Mapping[str, Any]) -> Path:
     """Writes counts into a domain's folder: JSON with a line for each row of the tables."""
     file = folder / ERRORS_FILE
-    file.write_text(f"{_lines(counts, 0)}\n", encoding="utf-8")
+    write_text(file, f"{_lines(counts, 0)}\n")
     return file
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import re
 from functools import partial
@@ -62,16 +63,23 @@ def numbers_in_order(folder: Path | str) -> list[tuple[bool, int, str]]:
 def write_text(path: Path, text: str, mode: int = 0o666) -> None:
     """Writes a file atomically: readers, and a crash, leave the old or the new text, never a part.
 
+    Every command writes its files by it. A symbolic link is replaced, its target stays as it is.
+
     Args:
         path: the file.
         text: its whole content.
         mode: the permissions, before the umask.
+
+    Raises:
+        OSError: the file cannot be written, or is a device, pipe or folder.
     """
     write_bytes(path, text.encode(), mode)
 
 
 def write_bytes(path: Path, content: bytes, mode: int = 0o666) -> None:
     """Writes bytes as :func:`write_text` writes text."""
+    if path.exists() and not path.is_file():  # root would replace /dev/null
+        raise OSError(errno.EINVAL, "not a regular file", str(path))
     temporary = path.with_name(f".{path.name}.new")
     temporary.unlink(missing_ok=True)  # left by a killed process, or a planted link
     opened = partial(os.open, mode=mode)

@@ -6,10 +6,10 @@ import csv
 import math
 import re
 from dataclasses import dataclass
-from io import BytesIO
+from io import BytesIO, StringIO
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from bbq_torchrl.utils.files import write_bytes
+from bbq_torchrl.utils.files import write_bytes, write_text
 from bbq_torchrl.utils.text import EMPTY
 
 if TYPE_CHECKING:
@@ -65,10 +65,11 @@ class Table:
             return
         lines = [_line(row) for row in self.rows]
         names = dict.fromkeys(name for line in lines for name in line)
-        with file.open("w", encoding="utf-8", newline="") as stream:
-            writer = csv.DictWriter(stream, fieldnames=list(names), lineterminator="\n")
-            writer.writeheader()
-            writer.writerows(lines)
+        text = StringIO()
+        writer = csv.DictWriter(text, fieldnames=list(names), lineterminator="\n")
+        writer.writeheader()
+        writer.writerows(lines)
+        write_text(file, text.getvalue())
 
 
 @dataclass(frozen=True)
@@ -101,7 +102,7 @@ class Report:
         """Writes ``<name>.md``, each table as CSV, and each figure as PNG and SVG."""
         folder.mkdir(parents=True, exist_ok=True)
         shown = [f"![{title}]({name}.png)\n" for name, (title, _) in self.figures.items()]
-        (folder / f"{self.name}.md").write_text("\n".join([str(self), *shown]), encoding="utf-8")
+        write_text(folder / f"{self.name}.md", "\n".join([str(self), *shown]))
         for part in (*self.parts, *self.data):
             if isinstance(part, Table):
                 part.write(folder)

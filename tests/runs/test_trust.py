@@ -20,6 +20,7 @@ from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import NonFiniteWeightsError
 from bbq_torchrl.utils.files import LOCK, PROCESS, write_text
 from bbq_torchrl.utils.output import REFUSED
+from bbq_torchrl.utils.reports import Report, Table
 
 from .trusted import DQN, state_of
 
@@ -62,16 +63,24 @@ def test_a_run_is_not_resumed_through_a_link(copy, kept, tmp_path, name):
     assert state_of(tmp_path) == before
 
 
-def test_a_file_is_not_written_through_a_link_in_the_place_of_its_temporary_name(tmp_path):
+@pytest.mark.parametrize("name", ["report.md", ".report.md.new", "runs.csv"])
+def test_a_report_is_not_written_through_a_link(tmp_path, name):
     victim = tmp_path / "victim"
     victim.write_text("mine")
-    (tmp_path / ".config.yaml.new").symlink_to(victim)
+    (tmp_path / name).symlink_to(victim)
 
-    write_text(tmp_path / "config.yaml", "seed: 0")
+    Report("report", "A report", [Table("runs", [{"agent": "dqn"}])], {}).write(tmp_path)
 
     assert victim.read_text() == "mine"
-    assert not (tmp_path / "config.yaml").is_symlink()
-    assert (tmp_path / "config.yaml").read_text() == "seed: 0"
+    assert not any(path.is_symlink() for path in tmp_path.iterdir())
+    assert (tmp_path / "runs.csv").read_text() == "agent\ndqn\n"
+
+
+def test_a_pipe_is_not_replaced_by_a_file(tmp_path):
+    os.mkfifo(pipe := tmp_path / "pipe")
+    with pytest.raises(OSError, match="pipe"):
+        write_text(pipe, "")
+    assert pipe.is_fifo()
 
 
 @pytest.mark.parametrize("last", [math.nan, math.inf])

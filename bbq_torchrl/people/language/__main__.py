@@ -29,6 +29,7 @@ from bbq_torchrl.people.language.measure import (
 from bbq_torchrl.people.language.training_lines import read_lines
 from bbq_torchrl.people.language.understander import SENTENCES, Understander
 from bbq_torchrl.utils import output
+from bbq_torchrl.utils.files import write_text
 
 if TYPE_CHECKING:
     import argparse
@@ -110,7 +111,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         )
     out = given.out or Path(f"{domain.name}.language.json")
     out.parent.mkdir(parents=True, exist_ok=True)
-    out.write_text(text, encoding="utf-8")
+    write_text(out, text)
     return 0
 
 
