@@ -21,8 +21,8 @@ from bbq_torchrl.utils.output import page
 from bbq_torchrl.utils.text import as_typed, shown
 
 USAGE = f"""\
-usage: python -m bbq_torchrl.domains calibrate [<key>=<value> ...]
-       python -m bbq_torchrl.domains import --help    a domain folder from a corpus in MiuLab's form
+usage: bbq domains calibrate [<key>=<value> ...]
+       bbq domains import --help    a domain folder from a corpus in MiuLab's form
 
 Finds the slot error probability at which a scripted policy has a given success rate, and prints the
 line for domain.yaml, with standard errors.

@@ -1,4 +1,4 @@
-"""``python -m bbq_torchrl.domains import``: a domain folder from a corpus in MiuLab's format.
+"""``bbq domains import``: a domain folder from a corpus in MiuLab's format.
 
 Arguments supply what the files lack: the slot that is booked, the slots that a booking needs, and
 those that never constrain the knowledge base.
@@ -54,8 +54,8 @@ def main(arguments: Sequence[str]) -> int:
         f"{given.folder}: {len(domain.records)} records, {len(domain.goals)} goals, "
         f"{len(domain.slots)} slots, {len(domain.actions)} actions",
         *changes,
-        f"{SPECIFICATION_FILE}: reference_slot_error_prob is 0; `python -m bbq_torchrl.domains "
-        f"calibrate domain=folder domain.path={given.folder}` finds the one for a success rate",
+        f"{SPECIFICATION_FILE}: reference_slot_error_prob is 0; `bbq domains calibrate "
+        f"domain=folder domain.path={given.folder}` finds the one for a success rate",
     ]
     output.write("".join(f"{line}\n" for line in lines))
     return 0
@@ -63,7 +63,7 @@ def main(arguments: Sequence[str]) -> int:
 
 def _parser() -> argparse.ArgumentParser:
     parser = output.Parser(
-        prog="python -m bbq_torchrl.domains import",
+        prog="bbq domains import",
         description="Writes a domain folder from a corpus in MiuLab's format (TC-Bot, DDQ, the "
         "Microsoft Dialogue Challenge), and reports what it left out or changed.",
     )
@@ -227,5 +227,6 @@ def _agent(
             "rule": {"kind": "script", "steps": rule},
             "careful_essential": {"kind": "careful", "steps": list(essential)},
             "careful": {"kind": "careful", "steps": list(requests)},
+            "repair": {"kind": "repair", "steps": list(requests)},
         },
     }

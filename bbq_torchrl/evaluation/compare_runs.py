@@ -197,7 +197,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code."""
     interruption.tell(lambda: "in a report", lambda: "the same command starts again")
     parser = output.Parser(
-        prog="python -m bbq_torchrl.evaluation.compare_runs",
+        prog="bbq report",
         description="Compares finished runs over their seeds: prints the tables as Markdown.",
     )
     parser.add_argument(

@@ -96,7 +96,7 @@ class EvaluateConfig:
 
 @dataclass
 class CalibrateConfig:
-    """The root of the configuration of ``python -m bbq_torchrl.domains calibrate``."""
+    """The root of the configuration of ``bbq domains calibrate``."""
 
     env: EnvOption = REQUIRED  # type: ignore[assignment]
     domain: DomainOption = REQUIRED  # type: ignore[assignment]

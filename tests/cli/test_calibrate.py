@@ -73,4 +73,4 @@ def test_a_rate_below_what_errors_can_do_is_refused(calibrated, restaurant_folde
 
 def test_help_says_what_there_is(capsys):
     assert calibrate.main(["--help"]) == 0
-    assert "python -m bbq_torchrl.domains calibrate" in capsys.readouterr().out
+    assert "usage: bbq domains calibrate" in capsys.readouterr().out

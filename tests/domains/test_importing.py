@@ -64,8 +64,8 @@ def imported(tmp_path, capsys):
 
 
 def played(domain, policy):
-    env = DialogueEnv(domain, batch_size=(1, 100), slot_error_prob=0.0, seed=0)
-    return evaluate(env, scripted_policy(policy, env), 200, seed=1).success.double().mean().item()
+    env = DialogueEnv(domain, batch_size=(1, 500), slot_error_prob=0.0, seed=0)
+    return evaluate(env, scripted_policy(policy, env), 1000, seed=1).success.double().mean().item()
 
 
 def test_a_corpus_of_taxis_is_imported_plays_and_trains(imported, tmp_path):
@@ -86,7 +86,7 @@ def test_a_corpus_of_taxis_is_imported_plays_and_trains(imported, tmp_path):
     assert {"request(people)", "inform(car)", "inform(taxi)"} <= set(domain.action_names)
     assert "inform(people)" not in domain.action_names  # no record has it
     assert played(domain, "rule") == 0.0  # every user asks for the car
-    assert played(domain, "careful") == 1.0
+    assert played(domain, "careful") == played(domain, "repair") == 1.0
     where = ["domain=folder", f"domain.path={tmp_path / 'taxi'}", "env.max_turn=40"]
     for env in ("full", "domain_ext"):
         config = compose([*TINY, *where, f"env={env}", "protocol.rounds=1", "spike.policy=null"])
@@ -132,8 +132,8 @@ def test_the_public_movies_can_be_imported_and_play_as_they_do(tcbot, miulab, tm
     assert (domain.slots, domain.acts) == (miulab.slots, miulab.acts)
     assert (len(domain.records), len(domain.goals)) == (len(miulab.records), len(miulab.goals))
     assert {*miulab.essential} == {*domain.essential}
-    # Goals and records are MiuLab's except for blanks, so the policy books as often.
-    assert abs(played(domain, "careful_essential") - played(miulab, "careful_essential")) < 0.15
+    # Goals and records are MiuLab's except for blanks, so the best script books as often.
+    assert abs(played(domain, "repair") - played(miulab, "repair")) < 0.05
 
 
 REFUSED = {
