@@ -65,7 +65,7 @@ def make_run(
     rates: list[float],
     *,
     agent: str = "bbqn",
-    explore: str = "thompson",
+    explore: str | None = None,
     seed: int = 0,
     rounds: int = 3,
     eval_every: int = 0,
@@ -80,6 +80,7 @@ def make_run(
     ``changes`` are of the configuration: dotted key to value.
     """
     folder.mkdir(parents=True)
+    explore = explore or {"dqn": "epsilon_greedy"}.get(agent, "thompson")
     keys = {"target": "map", "prior_std": 0.1} if agent == "bbqn" else {"dropout": 0.5}
     config = {
         "agent": {"name": agent, "lr": 0.001, **keys, **agent_keys},

@@ -103,7 +103,7 @@ class Replica:
 
     @property
     def agent(self) -> str:
-        """The agent as the paper calls it, such as ``BBQN-MAP``."""
+        """The name of agent and exploration, such as ``BBQN-MAP``."""
         return agent_name(self.config)
 
 
@@ -235,12 +235,22 @@ def _replicas(
         yield Replica(folder, number, config, result, metrics)
 
 
-_OF_THE_PAPER = {"bbqn": "BBQN", "bootstrap": "DQN-Bootstrap", "dqn": "DQN"}
+_AGENTS = {"bbqn": "BBQN", "bootstrap": "DQN-Bootstrap", "dqn": "DQN"}
 """``agent=`` -> its name in the paper."""
+
+_PAIRS = {
+    ("bbqn", "thompson"): "BBQN",
+    ("bbqn", "thompson_boltzmann"): "Soft BBQN",
+    ("bootstrap", "bootstrap"): "DQN-Bootstrap",
+    ("dqn", "boltzmann"): "DQN-Boltzmann",
+    ("dqn", "epsilon_greedy"): "DQN",
+    ("dqn", "noisy"): "DQN",
+}
+"""(``agent=``, ``explore=``) -> the name of both."""
 
 
 def agent_name(config: Mapping[str, Any]) -> str:
-    """Returns a name such as ``BBQN-MAP`` or ``DQN-VIME-MC``.
+    """Returns a name such as ``BBQN-MAP`` or ``DQN-VIME-MC``, with ``explore=`` if it needs it.
 
     In BBQN-VIME-MC both targets and information gain use weight draws; if the two differ, both are
     named. Agents and intrinsic rewards from outside the package are named by their option in
@@ -254,19 +264,19 @@ def agent_name(config: Mapping[str, Any]) -> str:
         >>> vime = {"name": "vime", "weights": "mc"}
         >>> agent_name({"agent": bbqn, "explore": thompson, "intrinsic": vime})
         'BBQN-VIME-MC'
+        >>> agent_name({"agent": bbqn, "explore": {"name": "greedy"}, "intrinsic": vime})
+        'BBQN-VIME-MC, explore=greedy'
     """
     agent, explore, intrinsic = (config[group] for group in ("agent", "explore", "intrinsic"))
-    option, reward = agent["name"], intrinsic["name"]
+    option, reward, acting = agent["name"], intrinsic["name"], explore["name"]
     gain = intrinsic["weights"].upper() if reward == "vime" else ""
-    parts = [_OF_THE_PAPER.get(option, option.upper())]
-    if option in _OF_THE_PAPER:
-        is_soft = explore["name"] == "thompson_boltzmann"
-        kinds = {"Noisy": agent.get("noisy"), "Double": agent.get("double"), "Soft": is_soft}
-        for kind, is_kind in kinds.items():
-            if is_kind:
-                parts[0] = f"{kind} {parts[0]}"
+    pair, target, kinds = _PAIRS.get((option, acting)), "", ""
+    is_noisy = option == "dqn" and bool(agent.get("noisy"))
+    if is_noisy != (acting == "noisy"):  # the noise explores
+        pair = None
+    if option in _AGENTS:
+        kinds = "Double " * bool(agent.get("double")) + "Noisy " * is_noisy
         target = agent.get("target", "").upper()
-        is_boltzmann = explore["name"] == "boltzmann"
-        parts += ["Boltzmann" if is_boltzmann else "", target if target != gain else ""]
-    parts += [reward.upper() if reward != "none" else "", gain]
-    return "-".join(filter(None, parts))
+    parts = [kinds + (pair or _AGENTS.get(option, option.upper()))]
+    parts += [target if target != gain else "", reward.upper() if reward != "none" else "", gain]
+    return "-".join(filter(None, parts)) + (f", explore={acting}" if pair is None else "")

@@ -64,7 +64,7 @@ class Group:
 
     @property
     def agent(self) -> str:
-        """The agent as the paper calls it, such as ``BBQN-MAP``."""
+        """The name of agent and exploration, such as ``BBQN-MAP``."""
         return self.replicas[0].agent
 
     @property

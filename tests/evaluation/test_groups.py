@@ -13,7 +13,7 @@ from bbq_torchrl.evaluation.groups import grouped, read_groups, references
 
 
 def test_runs_that_differ_in_their_seed_alone_are_one_group(add):
-    other = add([0.1], agent="dqn", explore="epsilon_greedy")
+    other = add([0.1], agent="dqn")
     bbqn, dqn = read_groups([add([0.5, 0.6], seed=0), other, add([0.7], seed=1)])
     assert (bbqn.label, dqn.label) == ("BBQN-MAP", "DQN")
     assert bbqn.final == [0.5, 0.6, 0.7]
@@ -134,16 +134,36 @@ def test_references_are_drawn_where_all_runs_have_the_same_users(add):
 
 
 @pytest.mark.parametrize(
-    ("agent", "others", "name"),
+    ("agent", "explore", "others", "name"),
     [
         # a target and a gain that differ are both named
-        ({"name": "bbqn", "target": "mc"}, {"name": "vime", "weights": "map"}, "BBQN-MC-VIME-MAP"),
+        *(
+            ({"name": "bbqn", "target": target}, explore, {"name": "vime", "weights": "map"}, name)
+            for target, explore, name in (
+                ("mc", "thompson", "BBQN-MC-VIME-MAP"),
+                ("map", "thompson_boltzmann", "Soft BBQN-VIME-MAP"),
+                ("map", "greedy", "BBQN-VIME-MAP, explore=greedy"),
+                ("map", "boltzmann", "BBQN-VIME-MAP, explore=boltzmann"),
+            )
+        ),
+        ({"name": "dqn", "double": True}, "boltzmann", {"name": "none"}, "Double DQN-Boltzmann"),
+        ({"name": "dqn", "noisy": True}, "noisy", {"name": "none"}, "Noisy DQN"),
+        (
+            *({"name": "dqn", "noisy": True}, "epsilon_greedy", {"name": "none"}),
+            "Noisy DQN, explore=epsilon_greedy",
+        ),
+        ({"name": "bootstrap"}, "greedy", {"name": "none"}, "DQN-Bootstrap, explore=greedy"),
         # a name leaves out the keys of a user's options
-        ({"name": "polyak", "target": 0.005, "noisy": 0.1}, {"name": "none"}, "POLYAK"),
-        ({"name": "lnq"}, {"name": "vime", "weights": "mc"}, "LNQ-VIME-MC"),
-        ({"name": "bbqn", "target": "mc"}, {"name": "novelty", "weights": "mc"}, "BBQN-MC-NOVELTY"),
+        (
+            {"name": "polyak", "target": 0.005, "noisy": 0.1},
+            *("boltzmann", {"name": "none"}, "POLYAK, explore=boltzmann"),
+        ),
+        (
+            *({"name": "bbqn", "target": "mc"}, "thompson", {"name": "novelty", "weights": "mc"}),
+            "BBQN-MC-NOVELTY",
+        ),
     ],
 )
-def test_an_agent_is_named_by_the_keys_that_the_paper_has(agent, others, name):
-    explore = {"name": "boltzmann" if name == "POLYAK" else "thompson"}
-    assert agent_name({"agent": agent, "explore": explore, "intrinsic": others}) == name
+def test_an_agent_is_named_by_the_keys_that_the_paper_has(agent, explore, others, name):
+    config = {"agent": agent, "explore": {"name": explore}, "intrinsic": others}
+    assert agent_name(config) == name

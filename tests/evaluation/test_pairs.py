@@ -11,7 +11,7 @@ from bbq_torchrl.runs.train import build_trainer
 
 GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]
 BAD = [0.50, 0.40, 0.60, 0.55, 0.45]
-DQN = {"agent": "dqn", "explore": "epsilon_greedy"}
+DQN = {"agent": "dqn"}
 
 
 def compared(*folders):

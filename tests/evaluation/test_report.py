@@ -71,7 +71,7 @@ def test_a_row_has_the_statistics_of_its_group_and_its_csv_all_digits(add, tmp_p
 
 
 def test_all_others_are_compared_with_the_first_by_pairs_and_holms_p(add):
-    dqn = {"agent": "dqn", "explore": "epsilon_greedy"}
+    dqn = {"agent": "dqn"}
     runs = [add(GOOD), add(BAD, **dqn), add(SAME, changes={"spike.dialogues": 20})]
     table, remark = pair_parts(read_groups(runs))
     (worse, same) = table.rows
