@@ -64,8 +64,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         own = cached_understander(agent.domain, given.labeled, screen.print)
     speak = Generator(spelling.domain)
     endpoint = Endpoint(given.url, given.model, os.environ.get(_KEY, ""))
-    nlu = EndpointUnderstander(endpoint, own) if given.nlu == "endpoint" else own
-    nlg = EndpointGenerator(endpoint, speak) if given.nlg == "endpoint" else speak
+    nlu = (
+        EndpointUnderstander(endpoint, own, output.print_error) if given.nlu == "endpoint" else own
+    )
+    nlg = (
+        EndpointGenerator(endpoint, speak, output.print_error) if given.nlg == "endpoint" else speak
+    )
     partner = Partner(agent, nlu, nlg, spelling, ask_below=given.ask_below, rules=rules)
     names = load_phrases(agent.domain).names
     if not has_own_phrases(agent.domain):

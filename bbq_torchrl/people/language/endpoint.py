@@ -3,8 +3,13 @@
 from __future__ import annotations
 
 import json
+import logging
+import time
 from dataclasses import dataclass, field, replace
+from queue import Empty, SimpleQueue
+from threading import Thread
 from typing import TYPE_CHECKING, Any, TypeVar
+from urllib.parse import urlsplit
 
 from bbq_torchrl.domains.frames import ANY, Frame
 from bbq_torchrl.people.language.words import legible
@@ -19,7 +24,10 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.language.understander import Understander
 
 _T = TypeVar("_T")
+_LOG = logging.getLogger(__name__)
+_MOST = 1_000_000  # bytes of an answer
 _NO_ANSWER = (LookupError, TypeError, ValueError, RecursionError)
+_DECISIVE = ("closing", "thanks")  # acts that end a dialogue or accept an offer
 _FITS = 0.9  # the least score of a value in an answer
 _UNDERSTAND = (
     "You read what the user of a booking agent says. Answer by JSON only: the dialogue act, the "
@@ -40,13 +48,20 @@ class Endpoint:
         url: the URL, up to and including ``/v1``.
         model: the model's name on the server.
         key: the bearer token; empty to send none.
-        timeout: the time limit for an answer, in seconds.
+        timeout: the time limit for a whole answer, in seconds.
+
+    Raises:
+        ValueError: the key has characters that no header may have.
     """
 
     url: str
     model: str
     key: str = field(default="", repr=False)
     timeout: float = 5.0
+
+    def __post_init__(self) -> None:
+        if not (self.key.isascii() and self.key.isprintable()):
+            raise ValueError("the endpoint's key must be printable ASCII on one line")
 
     def ask(self, system: str, user: Mapping[str, Any], schema: Mapping[str, Any]) -> Any:
         """Returns the model's JSON answer.
@@ -57,9 +72,10 @@ class Endpoint:
             schema: the JSON schema of the answer.
 
         Raises:
-            ConnectionError: if there is no answer in time, or one that is no JSON.
+            ConnectionError: if there is no answer in time, or one that is no JSON or too long. Its
+                message names the host, and neither the key nor the rest of the URL.
         """
-        httpx = needed("httpx", "httpx", "llm")
+        needed("httpx", "httpx", "llm")
         request = {
             "model": self.model,
             "temperature": 0,
@@ -72,14 +88,43 @@ class Endpoint:
                 "json_schema": {"name": "answer", "strict": True, "schema": schema},
             },
         }
-        headers = {"Authorization": f"Bearer {self.key}"} if self.key else {}
-        url = f"{self.url.rstrip('/')}/chat/completions"
+        # In a thread, as httpx limits each read and not their sum.
+        found: SimpleQueue[bytes | str] = SimpleQueue()
+        Thread(target=lambda: found.put(self._post(request)), daemon=True).start()
         try:
-            reply = httpx.post(url, json=request, headers=headers, timeout=self.timeout)
-            reply.raise_for_status()
-            return json.loads(reply.json()["choices"][0]["message"]["content"])
-        except (httpx.HTTPError, httpx.InvalidURL, *_NO_ANSWER) as error:
-            raise ConnectionError(f"the endpoint {self.url} gave no answer: {error}") from None
+            body = found.get(timeout=self.timeout)
+            if isinstance(body, bytes):
+                return json.loads(json.loads(body)["choices"][0]["message"]["content"])
+            reason = body
+        except Empty:
+            reason = f"nothing in {self.timeout:g} s"
+        except _NO_ANSWER:
+            reason = "no JSON of the expected form"
+        host = urlsplit(self.url).hostname
+        raise ConnectionError(f"the endpoint {host} gave no answer: {reason}")
+
+    def _post(self, request: Mapping[str, Any]) -> bytes | str:
+        """Returns the body of the reply, or the reason why there is none."""
+        import httpx
+
+        headers = {"Accept-Encoding": "identity"}  # of which the bytes can be counted
+        if self.key:
+            headers["Authorization"] = f"Bearer {self.key}"
+        url, body = f"{self.url.rstrip('/')}/chat/completions", b""
+        end = time.monotonic() + self.timeout
+        try:
+            with httpx.stream(
+                "POST", url, json=request, headers=headers, timeout=self.timeout
+            ) as reply:
+                if not reply.is_success:
+                    return f"status {reply.status_code}"
+                for part in reply.iter_raw():
+                    body += part
+                    if len(body) > _MOST or time.monotonic() > end:
+                        return f"more than {_MOST:,} bytes, or {self.timeout:g} s"
+        except Exception as error:  # a thread has nobody to raise to; messages may have the URL
+            return type(error).__name__
+        return body
 
 
 def _asked(
@@ -88,12 +133,19 @@ def _asked(
     user: Mapping[str, Any],
     schema: Mapping[str, Any],
     read: Callable[[Any], _T | None],
+    tell: Callable[[str], object],
 ) -> _T | None:
     """Returns what ``read`` finds in the endpoint's answer; ``None`` to use the local part."""
+    reason = f"the endpoint {urlsplit(endpoint.url).hostname} gave an answer that does not fit"
     try:
-        return read(endpoint.ask(system, user, schema))
-    except (ConnectionError, AttributeError, LookupError, TypeError, ValueError):
-        return None
+        found = read(endpoint.ask(system, user, schema))
+    except ConnectionError as error:
+        found, reason = None, str(error)
+    except (AttributeError, LookupError, TypeError, ValueError):
+        found = None
+    if found is None:
+        tell(f"{reason}; this package's own part takes over")
+    return found
 
 
 class EndpointUnderstander:
@@ -102,11 +154,14 @@ class EndpointUnderstander:
     Args:
         endpoint: the endpoint.
         own: the local understander, used if the endpoint does not answer, or answers outside the
-            domain.
+            domain. An act that ends the dialogue or accepts an offer needs both.
+        tell: called with a sentence whenever it falls back. Defaults to a warning in the log.
     """
 
-    def __init__(self, endpoint: Endpoint, own: Understander) -> None:
-        self._endpoint, self._own = endpoint, own
+    def __init__(
+        self, endpoint: Endpoint, own: Understander, tell: Callable[[str], object] = _LOG.warning
+    ) -> None:
+        self._endpoint, self._own, self._tell = endpoint, own, tell
 
     def asks(self, understood: Understood) -> bool:
         """Returns whether the system should ask again instead of acting."""
@@ -120,8 +175,8 @@ class EndpointUnderstander:
         """
         own = self._own(text, question)
         given = {"text": legible(text), "agent_said": str(question) if question is not None else ""}
-        frame = _asked(self._endpoint, _UNDERSTAND, given, self._schema(), self._frame)
-        if frame is None:
+        frame = _asked(self._endpoint, _UNDERSTAND, given, self._schema(), self._frame, self._tell)
+        if frame is None or (frame.act in _DECISIVE and frame.act != own.frame.act):
             return own
         agrees = str(frame) == str(own.frame)
         confidence = own.confidence if agrees else max(own.confidence, self._own.threshold)
@@ -162,10 +217,13 @@ class EndpointGenerator:
     Args:
         endpoint: the endpoint.
         own: the local generator, used if the endpoint does not answer, or leaves out a value.
+        tell: called with a sentence whenever it falls back. Defaults to a warning in the log.
     """
 
-    def __init__(self, endpoint: Endpoint, own: Generator) -> None:
-        self._endpoint, self._own = endpoint, own
+    def __init__(
+        self, endpoint: Endpoint, own: Generator, tell: Callable[[str], object] = _LOG.warning
+    ) -> None:
+        self._endpoint, self._own, self._tell = endpoint, own, tell
         self.clarify, self.check = own.clarify, own.check
 
     def agent(
@@ -187,7 +245,7 @@ class EndpointGenerator:
 
         given = {"act": str(frame), "for_example": own}
         schema = _schema(text={"type": "string"})
-        return _asked(self._endpoint, _SPEAK, given, schema, read) or own
+        return _asked(self._endpoint, _SPEAK, given, schema, read, self._tell) or own
 
 
 def _schema(**properties: Mapping[str, Any]) -> dict[str, Any]:

@@ -1,5 +1,6 @@
 from __future__ import annotations
 
+import contextlib
 import json
 import threading
 import time
@@ -30,14 +31,18 @@ def server():
             payload = json.dumps(reply).encode()
             self.send_response(self.server.status)
             self.send_header("Content-Length", str(len(payload)))
-            self.end_headers()
-            self.wfile.write(payload)
+            with contextlib.suppress(OSError):  # the client has left
+                self.end_headers()
+                for at in range(0, len(payload), self.server.piece):
+                    self.wfile.write(payload[at : at + self.server.piece])
+                    time.sleep(self.server.pace)
 
         def log_message(self, *args):
             pass
 
     own = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
     own.asked, own.delay, own.status, own.content = [], 0.0, 200, ""
+    own.piece, own.pace = 1 << 20, 0.0
     thread = threading.Thread(target=own.serve_forever, daemon=True)
     thread.start()
     own.endpoint = Endpoint(f"http://127.0.0.1:{own.server_port}/v1", "tiny", "secret", timeout=2.0)
@@ -98,16 +103,37 @@ def test_an_answer_that_is_no_frame_of_the_domain_falls_back(understand, server,
     assert hear(text) == understand(text)
 
 
-def test_silence_falls_back(understand, server):
-    server.delay, server.content = 1.0, json.dumps(ANSWER)
-    slow = Endpoint(server.endpoint.url, "tiny", timeout=0.1)
-    hear = EndpointUnderstander(slow, understand)
+@pytest.mark.parametrize(
+    ("behavior", "url"),
+    [
+        ({"delay": 2.0}, None),
+        ({"piece": 1, "pace": 0.05}, None),  # bytes come, the answer does not
+        ({"content": json.dumps(ANSWER) + " " * 2_000_000}, None),
+        ({"status": 500}, None),
+        ({"status": 302}, None),
+        ({}, "http://127.0.0.1:9/v1"),
+        ({}, "http://user:secret@/"),
+    ],
+    ids=["silent", "slow", "huge", "broken", "elsewhere", "gone", "no address"],
+)
+def test_without_an_answer_in_time_the_local_part_takes_over_and_says_so(
+    understand, server, behavior, url
+):
+    vars(server).update({"content": json.dumps(ANSWER)} | behavior)
+    told = []
+    endpoint = Endpoint(url or server.endpoint.url, "tiny", "secret", timeout=0.5)
+    hear = EndpointUnderstander(endpoint, understand, told.append)
     assert hear("reno") == understand("reno")
-    gone = EndpointUnderstander(Endpoint("http://127.0.0.1:9/v1", "tiny"), understand)
-    assert gone("reno") == understand("reno")
-    server.delay, server.status = 0.0, 500
-    broken = EndpointUnderstander(server.endpoint, understand)
-    assert broken("reno") == understand("reno")
+    assert len(told) == 1
+    assert "secret" not in told[0]
+
+
+@pytest.mark.parametrize(("act", "text"), [("thanks", "wait"), ("closing", "which theater?")])
+def test_an_endpoint_alone_neither_books_nor_ends(understand, server, act, text):
+    offer = Frame("inform", {"taskcomplete": "Ticket Available"})
+    server.content = json.dumps({"act": act, "informs": [], "requests": [], "dont_care": []})
+    hear = EndpointUnderstander(server.endpoint, understand)
+    assert hear(text, offer) == understand(text, offer)
 
 
 def test_an_endpoint_speaks_only_what_has_all_values(server):
@@ -122,3 +148,6 @@ def test_an_endpoint_speaks_only_what_has_all_values(server):
 
 def test_the_key_is_not_shown():
     assert "secret" not in repr(Endpoint("http://x/v1", "tiny", "secret"))
+    with pytest.raises(ValueError, match="key") as refused:
+        Endpoint("http://x/v1", "tiny", "secret\n")
+    assert "secret" not in str(refused.value)
