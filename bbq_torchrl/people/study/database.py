@@ -98,7 +98,7 @@ def serving(path: Path) -> Iterator[sqlite3.Connection]:
 
     Raises:
         StoreError: another server uses the file, or it is of another version, damaged, read-only or
-            foreign.
+            foreign, or restored beside an older log.
         OSError: its lock file cannot be made.
     """
     try:
@@ -107,6 +107,7 @@ def serving(path: Path) -> Iterator[sqlite3.Connection]:
         text = "another server is at work on it: end that one, or wait"
         raise StoreError(str(path), [text]) from error
     with lock, as_store_errors(path):
+        _refuse_older_log(path)
         connection = sqlite3.connect(
             path,
             isolation_level=None,
@@ -133,12 +134,14 @@ def opened(path: Path, mode: str = "ro") -> Iterator[sqlite3.Connection]:
         mode: ``ro`` for reading, as one snapshot for all queries, or ``rw`` for a change.
 
     Raises:
-        StoreError: there is no such file, or it is of another version, damaged or foreign.
+        StoreError: there is no such file, or it is of another version, damaged, foreign or
+            restored beside an older log.
     """
     if not path.is_file():
         raise StoreError(str(path), ["there is no such file: the study has not been served yet"])
     address = f"{path.absolute().as_uri()}?mode={mode}"
     with as_store_errors(path):
+        _refuse_older_log(path)
         connection = sqlite3.connect(
             address, BUSY_SECONDS, sqlite3.PARSE_COLNAMES, isolation_level=None, uri=True
         )
@@ -148,6 +151,17 @@ def opened(path: Path, mode: str = "ro") -> Iterator[sqlite3.Connection]:
             if mode == "ro":
                 connection.execute("BEGIN")
             yield connection
+
+
+def _refuse_older_log(path: Path) -> None:
+    """Refuses a restored backup with the log of the file before it, which SQLite would read."""
+    log = path.with_name(f"{path.name}-wal")
+    if path.is_file() and log.is_file() and log.stat().st_size:
+        with path.open("rb") as file:
+            is_logged = file.read(20)[18:] == b"\x02\x02"  # never of a backup, always with a log
+        if not is_logged:
+            text = f"it is a backup beside the log of an older file: remove {log.name} and its -shm"
+            raise StoreError(str(path), [text])
 
 
 def _check(path: Path, connection: sqlite3.Connection) -> None:

@@ -50,6 +50,21 @@ def test_a_backup_of_the_living_file_has_everything_where_a_plain_copy_has_not(
         assert f"/join/{again.key('join')}" == site.join
 
 
+def test_a_backup_restored_beside_the_log_of_an_older_file_is_refused(site, study, tmp_path):
+    site.say(link := site.enroll(), TEXT)
+    (tmp_path / "other").mkdir()
+    restored = tmp_path / "other" / "study.sqlite"
+    backup(study.data, restored)
+    site.say(link, TEXT)
+    log = shutil.copyfile(f"{study.data}-wal", f"{restored}-wal")
+    for use in (read_outcomes, lambda data: Store(replace(study, path=data), site.talker)):
+        with pytest.raises(StoreError):
+            use(restored)
+    os.remove(log)
+    with opened(restored) as connection:
+        assert connection.execute("SELECT COUNT(*) FROM exchange").fetchone() == (1,)
+
+
 @pytest.mark.parametrize(
     "name", ["study.sqlite", "study.sqlite-wal", "./study.sqlite.lock", "link", "old", "no/copy"]
 )
