@@ -25,6 +25,7 @@ from bbq_torchrl.runs.compose import compose, key_of, train_command
 from bbq_torchrl.runs.folders import is_finished, restarted_config, run_lock
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
+from bbq_torchrl.utils.files import write_text
 from bbq_torchrl.utils.output import between, page
 from bbq_torchrl.utils.text import sentence
 
@@ -44,7 +45,8 @@ SEEDS = 10
 PLAYS = 20
 """Mean number of plays of a goal for pass^k: fewer than 8 are rare."""
 
-_PLAYED = "plays.json"
+_PLAYED, _FAILED = "plays.json", "failed.txt"
+"""Files of an ended cell: plays and successes of its goals, or the error that ended it."""
 
 _SET = (
     *("seed", "replicas", "resume", "domain", "hydra", "env.slot_error_prob"),
@@ -80,6 +82,12 @@ class Cell:
     def is_played(self) -> bool:
         """True if the cell is trained, and its goals were played."""
         return (self.folder / _PLAYED).is_file()
+
+    @property
+    def failure(self) -> str:
+        """The error that ended the cell; empty without one."""
+        file = self.folder / _FAILED
+        return file.read_text("utf-8") if file.is_file() else ""
 
 
 @output.refusing
@@ -122,10 +130,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
         output.print_error(interruption.line())
         return interruption.exit_code()
     missing = [
-        f"{cell.name} ({reasons.get(cell.name) or 'not trained'})"
+        f"{cell.name} ({reasons.get(cell.name) or cell.failure or 'not trained'})"
         for cell in cells
         if not cell.is_played
     ]
+    for line in [] if given.page else missing:
+        output.print_error(f"missing: {line}")
     trained = [item for item in arguments if item != "--page"]
     output.write(_write(given, shlex.join(["bbq", "bench", *trained]), cells, missing))
     return 1 if missing else 0
@@ -283,19 +293,35 @@ def _refuse_invalid(cell: Cell, *, to_train: bool) -> None:
 
 
 def play(cell: Cell) -> str:
-    """Trains a cell and plays its goals again and again. Returns why it could not; else empty."""
+    """Trains a cell and plays its goals again and again. Returns why it could not; else empty.
+
+    An error is kept in the cell's folder, so that the same command does not train the cell again.
+    An OSError, such as a full disk, ends the bench.
+    """
     from bbq_torchrl.evaluation.run_result import write_json
+    from bbq_torchrl.runs.build import FORESEEN
     from bbq_torchrl.runs.train import run
-    from bbq_torchrl.trainers import TrainingError
 
     try:
         with run_lock(cell.folder):
+            if cell.failure:
+                return cell.failure
             config = restarted_config(cell.config, cell.folder)
-            if not is_finished(cell.folder, config.protocol.rounds):
-                run(config, cell.folder)
-            if not cell.is_played:
-                write_json(goal_plays(cell), cell.folder / _PLAYED)
-    except (TrainingError, ConfigError) as error:  # also another process at work in the folder
+            try:
+                if not is_finished(cell.folder, config.protocol.rounds):
+                    run(config, cell.folder)
+                if not cell.is_played:
+                    write_json(goal_plays(cell), cell.folder / _PLAYED)
+            except OSError:
+                raise
+            except Exception as error:
+                is_known = isinstance(error, FORESEEN)
+                reason = sentence(error) if is_known else f"{type(error).__name__}: {error}"
+                _LOG.error("%s failed: %s", cell.name, reason, exc_info=not is_known)
+                if cell.folder.is_dir():  # it may have been moved
+                    write_text(cell.folder / _FAILED, sentence(reason))
+                return sentence(reason)
+    except ConfigError as error:  # another process at work in the folder
         return sentence(error)
     return ""
 

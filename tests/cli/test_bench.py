@@ -10,10 +10,12 @@ import time
 import forked
 import numpy as np
 import pytest
+import torch
 from tiny import TINY
 
 from bbq_torchrl.cli import bench
 from bbq_torchrl.cli.evaluate import composed, evaluation
+from bbq_torchrl.runs import train
 from bbq_torchrl.utils.statistics import binomial_standard_error, pass_k
 
 OWN = "own: agent=dqn explore=boltzmann"
@@ -98,12 +100,28 @@ def test_a_killed_bench_continues(made, tmp_path):
     assert content(tmp_path) == content(made[0])
 
 
-def test_a_cell_that_fails_is_named_and_not_averaged(tmp_path):
-    page, _ = run(tmp_path, "dqn", "wild: agent=dqn agent.lr=1e30", code=1)
-    assert "**Missing:** wild on hotel, errors 0.1 (" in page
-    assert "No setting is finished by all agents." in page
-    assert "| dqn |" in page
-    assert "| wild |" not in page
+def test_a_cell_that_fails_is_named_and_leaves_the_others_alone(tmp_path, monkeypatch):
+    real = train.run
+
+    def trained(config, folder):
+        with (tmp_path / "trained").open("a") as file:
+            file.write(f"{folder.name} ")
+        if folder.name == "wild":
+            raise torch.linalg.LinAlgError("the matrix is singular")
+        return real(config, folder)
+
+    monkeypatch.setattr(train, "run", trained)
+    for _ in range(2):
+        page, error = run(tmp_path, "wild: agent=dqn", "dqn", code=1)
+        assert "**Missing:** wild on hotel, errors 0.1 (" in page
+        assert "missing: wild on hotel, errors 0.1 (LinAlgError: the matrix is singular)" in error
+        assert "No setting is finished by all agents." in page
+        assert "| dqn |" in page
+        assert "| wild |" not in page
+    assert (tmp_path / "trained").read_text().split() == ["wild", "dqn"]
+    (tmp_path / "made" / "hotel" / "errors_0.1" / "wild" / "failed.txt").unlink()
+    run(tmp_path, "wild: agent=dqn", "dqn", code=1)
+    assert (tmp_path / "trained").read_text().split() == ["wild", "dqn", "wild"]
 
 
 def test_a_page_alone_trains_nothing(tmp_path):
