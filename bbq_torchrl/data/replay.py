@@ -62,6 +62,8 @@ class ReplicaReplay:
             the entries that it adds (its ``out_keys_inv``) are stored with them; ``transform`` runs
             on the rows of an epoch. Both get batch size [replicas, rows] with the entry ``valid``.
             :mod:`bbq_torchrl.protocols` lists the optional methods of its modules.
+        successes: the number of each replica's newest successful dialogues that are not evicted.
+            Defaults to 0.
         device: the device of the stored transitions. Defaults to ``"cpu"``.
 
     Attributes:
@@ -91,6 +93,7 @@ class ReplicaReplay:
         replicas: int = 1,
         keys: Sequence[NestedKey] = TRANSITION_KEYS,
         transform: Transform | None = None,
+        successes: int = 0,
         device: torch.device | str = "cpu",
     ) -> None:
         check("capacity", capacity, at_least(1))
@@ -107,7 +110,7 @@ class ReplicaReplay:
             TensorDictReplayBuffer(
                 storage=LazyTensorStorage(capacity, device=self._device),
                 sampler=SamplerWithoutReplacement(drop_last=False),
-                writer=ProtectedRoundRobinWriter(),
+                writer=ProtectedRoundRobinWriter(successes),
                 batch_size=1,
             )
             for _ in range(replicas)
@@ -153,7 +156,8 @@ class ReplicaReplay:
         overwrite the others in the same call.
 
         Args:
-            rows: one TensorDict for each replica, batch size [rows].
+            rows: one TensorDict for each replica, batch size [rows]. An entry "succeeded", bool
+                [rows], marks complete dialogues that succeed, for ``successes``.
 
         Raises:
             ValueError: if a row is invalid (see
@@ -173,10 +177,13 @@ class ReplicaReplay:
             stacked = self.transform.inv(pad_sequence(selected)).select(*self.stored_keys)
             selected = [stacked[replica, : len(td)] for replica, td in enumerate(selected)]
         self._computed.clear()
-        for buffer, td in zip(self.buffers, selected, strict=True):
+        for buffer, td, given in zip(self.buffers, selected, rows, strict=True):
             td = td[-buffer.writer.unprotected_capacity :]
             if len(td):
-                buffer.extend(td)
+                index = buffer.extend(td)
+                if "succeeded" in given:
+                    last = given[-len(td) :]
+                    buffer.writer.mark(index, last["succeeded"], last["next", "done"].squeeze(-1))
 
     def protect(self) -> None:
         """Protects every transition stored so far from eviction.

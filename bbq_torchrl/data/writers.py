@@ -1,7 +1,8 @@
-"""A round-robin writer that never overwrites the first rows of a storage."""
+"""A round-robin writer that never overwrites a storage's first rows and newest successes."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from typing import Any
 
@@ -9,7 +10,7 @@ import torch
 from tensordict import TensorDictBase
 from torchrl.data import TensorDictRoundRobinWriter
 
-_PROTECTED = "protected.txt"  # in the folder of TorchRL's writer
+_OWN = "protected.json"  # in the folder of TorchRL's writer
 
 
 class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
@@ -19,6 +20,12 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
     :class:`~torchrl.data.TensorDictRoundRobinWriter`. Afterwards the rows in the storage at that
     moment are never overwritten, and new rows take turns in the remaining capacity. So a replay
     buffer *spiked* with the dialogues of a rule policy keeps them during all of training.
+
+    Likewise the rows of the newest ``successes`` successful dialogues are skipped, as long as there
+    are others to overwrite.
+
+    Args:
+        successes: the number of successful dialogues to keep. Defaults to 0.
 
     Attributes:
         protected: the number of rows, from the first, that are never overwritten.
@@ -41,9 +48,12 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
         tensor([1, 2, 5, 4])
     """
 
-    def __init__(self) -> None:
+    def __init__(self, successes: int = 0) -> None:
         super().__init__()
+        self.successes = successes
         self.protected = 0
+        # of each row of the storage, the number of its dialogue among the successful ones, or 0
+        self._success = torch.zeros(0, dtype=torch.int64)
 
     @property
     def unprotected_capacity(self) -> int:
@@ -84,7 +94,15 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
             )
         device = data.device if data.device is not None else "cpu"
         start = self._cursor - self.protected
-        index = torch.arange(start, start + rows, device=device) % room + self.protected
+        if self._success.any():
+            turns = torch.arange(start, start + room) % room + self.protected
+            number = self._success[turns]
+            kept = number > max(0, int(self._success.max()) - self.successes)
+            index = turns[kept.int().argsort(stable=True)[:rows]].to(device)
+            self._success[index] = 0
+            start = int(index[-1]) + 1 - self.protected - rows
+        else:
+            index = torch.arange(start, start + rows, device=device) % room + self.protected
         self._cursor = self.protected + (start + rows) % room
         self._write_count += rows
         data.set("index", index)
@@ -93,25 +111,47 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
         self._mark_update_entities(index)
         return index
 
+    def mark(self, index: torch.Tensor, succeeded: torch.Tensor, done: torch.Tensor) -> None:
+        """Marks rows of successful dialogues, which :meth:`extend` has just written.
+
+        Args:
+            index: their places in the storage, int64 [rows].
+            succeeded: whether a row's dialogue succeeds, bool [rows].
+            done: whether it ends with the row, bool [rows].
+        """
+        succeeded, done = succeeded.cpu(), done.cpu()
+        if self.successes and succeeded.any():
+            if not len(self._success):
+                self._success = torch.zeros(self._storage.max_size, dtype=torch.int64)
+            ends = (succeeded & done).long()
+            number = self._success.max() + 1 + ends.cumsum(0) - ends
+            self._success[index.cpu()] = torch.where(succeeded, number, 0)
+
     def _empty(self, empty_write_count: bool = True) -> None:
         super()._empty(empty_write_count=empty_write_count)
         self.protected = 0
+        self._success = self._success[:0]
 
     def state_dict(self) -> dict[str, Any]:
-        """Returns the cursor, the number of rows written and the number of protected rows."""
-        return {**super().state_dict(), "_protected": self.protected}
+        """Returns the cursor, the numbers of written and protected rows, and the successes."""
+        kept = {"_success": self._success} if self.successes else {}
+        return {**super().state_dict(), "_protected": self.protected, **kept}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Restores the state from :meth:`state_dict`."""
         super().load_state_dict(state_dict)
         self.protected = state_dict["_protected"]
+        self._success = state_dict.get("_success", self._success[:0]).clone()
 
     def dumps(self, path: Path | str) -> None:
         """Writes the state from :meth:`state_dict` into a folder."""
         super().dumps(path)
-        (Path(path) / _PROTECTED).write_text(f"{self.protected}\n", encoding="utf-8")
+        own = {"protected": self.protected, "success": self._success.tolist()}
+        (Path(path) / _OWN).write_text(json.dumps(own), encoding="utf-8")
 
     def loads(self, path: Path | str) -> None:
         """Restores the state written by :meth:`dumps`."""
         super().loads(path)
-        self.protected = int((Path(path) / _PROTECTED).read_text(encoding="utf-8"))
+        own = json.loads((Path(path) / _OWN).read_text(encoding="utf-8"))
+        self.protected = own["protected"]
+        self._success = torch.tensor(own["success"], dtype=torch.int64)

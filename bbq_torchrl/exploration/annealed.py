@@ -1,4 +1,4 @@
-"""Annealed exploration: ε-greedy and Boltzmann, and uniform play until a success."""
+"""Annealed exploration: ε-greedy and Boltzmann."""
 
 from __future__ import annotations
 
@@ -12,6 +12,13 @@ from torchrl.modules import EGreedyModule
 
 from bbq_torchrl.exploration.base import explores, schedule
 from bbq_torchrl.networks.q_actor import legal_actions
+
+_WEIGHT = 0.2  # of the last round in the running mean of a replica's success rate
+
+
+def _see_success_(success: Tensor, rate: Tensor) -> Tensor:
+    """Updates the running mean ``success`` [replicas, 1] with a round's ``rate`` [replicas]."""
+    return success.lerp_(rate.to(success).unsqueeze(-1), _WEIGHT)
 
 
 class BatchedEGreedy(EGreedyModule):
@@ -30,6 +37,7 @@ class BatchedEGreedy(EGreedyModule):
     Keyword Args:
         action_key: as in ``EGreedyModule``.
         action_mask_key: bool [*batch, N], or None for no mask.
+        until_success: see :class:`Boltzmann`.
         device: device of the schedule.
 
     Raises:
@@ -55,6 +63,7 @@ class BatchedEGreedy(EGreedyModule):
         *,
         action_key: NestedKey = "action",
         action_mask_key: NestedKey | None = None,
+        until_success: float | None = None,
         device: torch.device | None = None,
     ) -> None:
         start, end = schedule(eps_init, eps_end, annealing_num_steps)
@@ -75,63 +84,29 @@ class BatchedEGreedy(EGreedyModule):
         self.eps_init = start.to(device)
         self.eps_end = end.to(device)
         self.eps = start.to(device, copy=True)
-
-
-class UniformUntilSuccess(BatchedEGreedy):
-    """Replaces every action by a uniformly random legal one until a replica's first success.
-
-    Afterwards the replica's actions stay as they are. Place it last in a policy of batch size
-    [replicas, dialogues]. Which replicas have succeeded is a buffer, so checkpoints include it.
-
-    Args:
-        spec: the spec of the action.
-        replicas: the number of replicas.
-
-    Keyword Args:
-        action_mask_key: bool [*batch, N], or None for no mask.
-        device: the buffer's device.
-
-    Examples:
-        >>> import torch
-        >>> from tensordict import TensorDict
-        >>> from torchrl.data import Categorical
-        >>> explore = UniformUntilSuccess(Categorical(4), 2)
-        >>> explore.see_success(torch.tensor([0.0, 0.02]))
-        >>> td = TensorDict(action=torch.zeros(2, 100).long(), batch_size=[2, 100])
-        >>> explore(td)["action"].bool().any(-1)
-        tensor([ True, False])
-    """
-
-    def __init__(
-        self,
-        spec: TensorSpec,
-        replicas: int,
-        *,
-        action_mask_key: NestedKey | None = None,
-        device: torch.device | None = None,
-    ) -> None:
-        super().__init__(
-            spec, torch.ones(replicas, 1), 0.0, action_mask_key=action_mask_key, device=device
+        self.until_success = until_success
+        self.register_buffer(
+            "success", None if until_success is None else torch.zeros_like(self.eps)
         )
 
     def step(self, frames: int = 1) -> None:
-        """Changes nothing: only a success does."""
+        """Lowers epsilon by ``frames`` steps of the schedule; nothing with ``until_success``."""
+        if self.success is None:
+            super().step(frames)
 
     def see_success(self, success_rate: Tensor) -> None:
-        """Ends uniform play in replicas with a success; called after each round.
-
-        Args:
-            success_rate: the share of the round's dialogues that succeeded, [replicas].
-        """
-        self.eps.masked_fill_(success_rate.to(self.eps.device).unsqueeze(-1) > 0, 0.0)
+        """Sets epsilon by success, if so constructed; see :meth:`Boltzmann.see_success`."""
+        if self.success is not None:
+            left = 1 - _see_success_(self.success, success_rate) / self.until_success
+            self.eps.copy_(self.eps_end + (self.eps_init - self.eps_end) * left.clamp_min(0))
 
 
 class Boltzmann(TensorDictModuleBase):
     """Replaces the greedy action by a draw from softmax(Q / temperature).
 
     Place it after an actor. It explores under RANDOM and outside of any context, otherwise it
-    leaves the action unchanged. The temperature falls linearly with :meth:`step` and is a buffer,
-    so checkpoints include it.
+    leaves the action unchanged. The temperature falls linearly, with :meth:`step` or with the
+    replica's success (:meth:`see_success`), and is a buffer, so checkpoints include it.
 
     Args:
         temperature_init: initial temperature in units of Q (rewards): a number, or a tensor that
@@ -144,6 +119,8 @@ class Boltzmann(TensorDictModuleBase):
             [*batch, N] if the greedy one is, otherwise (and without one) an index [*batch].
         action_value_key: values [*batch, N].
         action_mask_key: bool [*batch, N], or None for no mask.
+        until_success: the mean success at which the schedule ends. It then falls with success and
+            not with :meth:`step`; its start or end must have shape [replicas, 1]. Defaults to None.
         device: device of the schedule.
 
     Raises:
@@ -164,6 +141,7 @@ class Boltzmann(TensorDictModuleBase):
     temperature: Tensor
     temperature_init: Tensor
     temperature_end: Tensor
+    success: Tensor | None
 
     def __init__(
         self,
@@ -174,6 +152,7 @@ class Boltzmann(TensorDictModuleBase):
         action_key: NestedKey = "action",
         action_value_key: NestedKey = "action_value",
         action_mask_key: NestedKey | None = "action_mask",
+        until_success: float | None = None,
         device: torch.device | str | None = None,
     ) -> None:
         start, end = schedule(temperature_init, temperature_end, annealing_num_steps)
@@ -194,13 +173,29 @@ class Boltzmann(TensorDictModuleBase):
         self.register_buffer("temperature_init", start.to(device))
         self.register_buffer("temperature_end", end.to(device))
         self.register_buffer("temperature", start.to(device, copy=True))
+        self.until_success = until_success
+        mean = None if until_success is None else torch.zeros_like(self.temperature)
+        self.register_buffer("success", mean)
 
     def step(self, frames: int = 1) -> None:
-        """Lowers the temperature by ``frames`` steps of the schedule."""
-        fall = (self.temperature_init - self.temperature_end) / self.annealing_num_steps
-        self.temperature.copy_(
-            torch.maximum(self.temperature_end, self.temperature - frames * fall)
-        )
+        """Lowers the temperature by ``frames`` steps; nothing with ``until_success``."""
+        if self.success is None:
+            fall = (self.temperature_init - self.temperature_end) / self.annealing_num_steps
+            self.temperature.copy_(
+                torch.maximum(self.temperature_end, self.temperature - frames * fall)
+            )
+
+    def see_success(self, success_rate: Tensor) -> None:
+        """Sets the temperature by a running mean of success; nothing without ``until_success``.
+
+        Args:
+            success_rate: the share of the round's dialogues that succeeded, [replicas]. It has
+                weight .2 in the mean, which starts at 0.
+        """
+        if self.success is not None:
+            left = 1 - _see_success_(self.success, success_rate) / self.until_success
+            start, end = self.temperature_init, self.temperature_end
+            self.temperature.copy_(end + (start - end) * left.clamp_min(0))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the drawn action in the form of the greedy one."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import abstractmethod
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, ClassVar
+from typing import TYPE_CHECKING, Any, ClassVar
 
 from bbq_torchrl.options.registry import Option, register
 from bbq_torchrl.options.task import annealed_rounds, check_falls, replica_column
@@ -12,6 +12,7 @@ from bbq_torchrl.settings import (
     BOOLEAN,
     POSITIVE,
     PROBABILITY,
+    ConfigError,
     Values,
     one_of,
     option,
@@ -47,8 +48,6 @@ class ExploreOption(Option):
 
     group: ClassVar[str] = "explore"
 
-    uniform_first: bool = setting(False, BOOLEAN, "play at random until a replica's first success")
-
     requires: ClassVar[tuple[str, ...]] = ()
 
     @abstractmethod
@@ -60,24 +59,6 @@ class ExploreOption(Option):
             greedy: the agent's policy without exploration.
             task: the task; the policy acts on batches [replicas, dialogues].
         """
-
-    def begin_uniformly(
-        self, policy: TensorDictModuleBase, metrics: ExploreMetrics, task: Task
-    ) -> Exploration:
-        """Returns the policy and metrics of :meth:`make`, with uniform play first if so set."""
-        if not self.uniform_first:
-            return policy, metrics
-        from tensordict.nn import TensorDictSequential
-
-        from bbq_torchrl.exploration.annealed import UniformUntilSuccess
-
-        first = UniformUntilSuccess(
-            task.action_spec, task.replicas, action_mask_key=task.action_mask_key
-        )
-        return TensorDictSequential(policy, first), {
-            **metrics,
-            "uniform": lambda: first.eps.squeeze(-1),
-        }
 
 
 @register
@@ -92,18 +73,51 @@ class GreedyActing(ExploreOption):
         return greedy, {}
 
 
+@dataclass
+class AnnealedOption(ExploreOption):
+    """A strategy with a number that falls from its start to its end."""
+
+    anneal_by: str = setting(
+        "rounds", one_of("rounds", "success"), "what it falls with: rounds or a replica's success"
+    )
+    anneal_fraction: float = setting(
+        0.5, PROBABILITY, "share of the rounds, or mean success, at which the end is reached"
+    )
+
+    def check(self) -> None:
+        """Refuses a fall over no success."""
+        if self.anneal_by == "success" and not self.anneal_fraction:
+            raise ConfigError(
+                "explore.anneal_fraction must be above 0 with explore.anneal_by=success, got "
+                f"{self.anneal_fraction:g}"
+            )
+
+    def schedule(
+        self, start: Values, end: Values, task: Task
+    ) -> tuple[float | Tensor, float | Tensor, dict[str, Any]]:
+        """Returns start, end and the schedule's keywords for an exploration module."""
+        first, last = replica_column(start, task), replica_column(end, task)
+        if self.anneal_by == "rounds":
+            rounds = annealed_rounds(self.anneal_fraction, task)
+            return first, last, {"annealing_num_steps": rounds}
+        import torch
+
+        column = torch.zeros(task.replicas, 1) + first
+        return column, last, {"until_success": self.anneal_fraction}
+
+
 @register
 @dataclass
-class EpsilonGreedy(ExploreOption):
+class EpsilonGreedy(AnnealedOption):
     """The greedy action, or with probability epsilon a uniformly random legal one."""
 
     name: str = option("epsilon_greedy")
     eps_init: Values = setting(0.04, per_replica(PROBABILITY), "epsilon in the first round")
     eps_end: Values = setting(0.01, per_replica(PROBABILITY), "epsilon after annealing")
-    anneal_fraction: float = setting(0.5, PROBABILITY, "share of the rounds in which epsilon falls")
 
     def check(self) -> None:
         """Refuses an epsilon that rises."""
+        super().check()
         check_falls(self, "eps_init", "eps_end")
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
@@ -114,32 +128,32 @@ class EpsilonGreedy(ExploreOption):
 
         from bbq_torchrl.exploration import BatchedEGreedy
 
-        start, end = (replica_column(value, task) for value in (self.eps_init, self.eps_end))
+        start, end, keywords = self.schedule(self.eps_init, self.eps_end, task)
         has_several = isinstance(start, Tensor) or isinstance(end, Tensor)
         epsilon = (BatchedEGreedy if has_several else EGreedyModule)(
             task.action_spec,
             eps_init=start,
             eps_end=end,
-            annealing_num_steps=annealed_rounds(self.anneal_fraction, task),
             action_mask_key=task.action_mask_key,
+            **keywords,
         )
         return TensorDictSequential(greedy, epsilon), {"epsilon": lambda: epsilon.eps.squeeze(-1)}
 
 
 @register
 @dataclass
-class BoltzmannActing(ExploreOption):
+class BoltzmannActing(AnnealedOption):
     """Actions drawn from softmax(Q / temperature)."""
 
     name: str = option("boltzmann")
     temperature_init: Values = setting(0.7, per_replica(POSITIVE), "first temperature, units of Q")
     temperature_end: Values = setting(0.7, per_replica(POSITIVE), "temperature after annealing")
-    anneal_fraction: float = setting(0.5, PROBABILITY, "share of the rounds in which it falls")
 
     requires: ClassVar[tuple[str, ...]] = ("values",)
 
     def check(self) -> None:
         """Refuses a temperature that rises."""
+        super().check()
         check_falls(self, "temperature_init", "temperature_end")
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
@@ -148,12 +162,8 @@ class BoltzmannActing(ExploreOption):
 
         from bbq_torchrl.exploration import Boltzmann
 
-        boltzmann = Boltzmann(
-            replica_column(self.temperature_init, task),
-            replica_column(self.temperature_end, task),
-            annealed_rounds(self.anneal_fraction, task),
-            action_mask_key=task.action_mask_key,
-        )
+        start, end, keywords = self.schedule(self.temperature_init, self.temperature_end, task)
+        boltzmann = Boltzmann(start, end, action_mask_key=task.action_mask_key, **keywords)
         return (
             TensorDictSequential(greedy, boltzmann),
             {"temperature": lambda: boltzmann.temperature.squeeze(-1)},

@@ -37,6 +37,9 @@ class SpikeOption(Option):
         None, optional(ANY_TEXT, "rule: the first that succeeds; best: the best"), "script of them"
     )
     protect: bool = setting(True, BOOLEAN, "never evict spiked transitions")
+    successes: int = setting(
+        0, NON_NEGATIVE_INTEGER, "newest successful dialogues that are never evicted"
+    )
     margin: float = setting(
         0.0, AT_LEAST_ZERO, "margin of spiked actions (DQfD), in units of Q; 0: not imitated"
     )

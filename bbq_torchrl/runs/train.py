@@ -175,6 +175,7 @@ def build_trainer(
         replicas=config.replicas,
         keys=build.transition_keys(env),
         transform=agent.transform,
+        successes=spike.successes,
         device=config.device,
     )
     learner = Learner(
@@ -242,7 +243,6 @@ def make_agent(config: Config, env: EnvBase) -> Agent:
     actor = config.agent.make_actor(task)
     loss = config.agent.make_loss(actor, task)
     policy, metrics = config.explore.make(actor, config.agent.make_greedy(actor), task)
-    policy, metrics = config.explore.begin_uniformly(policy, metrics, task)
     loss, rewards = config.intrinsic.make(loss, task)
     config.spike.imitate(losses_of(loss)[0])
     transforms = [*config.agent.make_transforms(task), *rewards]

@@ -177,7 +177,8 @@ def collect_dialogues(
         result = episode_stats(played)
         sums = torch.stack([entry.double().sum(-1) for entry in result])
         totals = sums if totals is None else totals + sums
-        replay.extend(rows_per_replica(played, replay.keys))
+        played["succeeded"] = result.success.unsqueeze(-1).expand_as(played["valid"])
+        replay.extend(rows_per_replica(played, (*replay.keys, "succeeded")))
     assert totals is not None
     means = dict(zip(("success_rate", "reward", "turns"), totals / dialogues, strict=True))
     return {**means, **replay.pop_metrics()}

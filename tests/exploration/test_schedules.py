@@ -14,14 +14,13 @@ from torchrl.data import Categorical, OneHot
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl.exploration import BatchedEGreedy, Boltzmann
-from bbq_torchrl.exploration.annealed import UniformUntilSuccess
 from bbq_torchrl.networks import q_actor
 
 STARTS, ENDS = torch.tensor([[0.9], [0.5], [0.3]]), torch.tensor([[0.1], [0.5], [0.2]])
 
 
-def epsilon(start, end, steps=4):
-    return BatchedEGreedy(Categorical(5), start, end, steps, action_mask_key="action_mask")
+def epsilon(start, end, steps=4, **by):
+    return BatchedEGreedy(Categorical(5), start, end, steps, action_mask_key="action_mask", **by)
 
 
 def value(explore):
@@ -102,21 +101,17 @@ def test_values_that_do_not_fit_the_batch_are_refused(make, batch):
         make(STARTS, ENDS, 4)(td)
 
 
-def test_replicas_play_uniformly_among_legal_actions_until_their_first_success():
-    n, explore = 20_000, UniformUntilSuccess(Categorical(4), 3, action_mask_key="action_mask")
-    explore.see_success(torch.tensor([0.0, 0.5, 0.0], dtype=torch.float64))
-    explore.step(1000)  # a round changes nothing, only a success does
-    explore.see_success(torch.tensor([0.0, 0.0, 0.0], dtype=torch.float64))
-    loaded = UniformUntilSuccess(Categorical(4), 3, action_mask_key="action_mask")
-    loaded.load_state_dict(explore.state_dict())
-    legal = torch.tensor([True, False, True, True]).expand(3, n, 4)
-    td = TensorDict(action=torch.full((3, n), 2), action_mask=legal, batch_size=[3, n])
-    for module in (explore, loaded):
-        action = module(td.clone())["action"]
-        assert bool((action[1] == 2).all())
-        for replica in (0, 2):
-            share = action[replica].bincount(minlength=4) / n
-            expected = torch.tensor([1.0, 0.0, 1.0, 1.0]) / 3
-            assert (share - expected).abs().max() < 5 * (0.25 / n) ** 0.5
-    with set_exploration_type(ExplorationType.DETERMINISTIC):
-        assert bool((explore(td.clone())["action"] == 2).all())
+@pytest.mark.parametrize("make", [Boltzmann, epsilon])
+def test_with_success_a_schedule_falls_and_rises_by_a_running_mean(make):
+    explore, loaded = (make(STARTS, ENDS, until_success=0.5) for _ in range(2))
+    rates = torch.tensor([[0, 1, 1, 1, 0, 0], [0.2, 0, 0, 0, 0, 1], [1, 1, 1, 1, 1, 0]]).double()
+    for played in range(1, 7):
+        explore.step(100)  # a round changes nothing, only success does
+        explore.see_success(rates[:, played - 1])
+        for replica, own in enumerate(rates[:, :played].tolist()):
+            mean = sum(0.2 * rate * 0.8**ago for ago, rate in enumerate(reversed(own)))
+            start, end = float(STARTS[replica]), float(ENDS[replica])
+            expected = end + (start - end) * max(0.0, 1 - mean / 0.5)
+            assert float(value(explore)[replica]) == pytest.approx(expected, abs=1e-6)
+        loaded.load_state_dict(explore.state_dict())
+        assert torch.equal(value(loaded), value(explore))

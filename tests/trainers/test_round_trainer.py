@@ -10,7 +10,7 @@ from torch.optim import Adam
 from torchrl.envs import ExcludeTransform, TransformedEnv
 from trainer_parts import GuessEnv, make_trainer
 
-from bbq_torchrl.exploration.annealed import UniformUntilSuccess
+from bbq_torchrl.exploration import BatchedEGreedy
 from bbq_torchrl.options import ProtocolOption
 from bbq_torchrl.trainers import TrainingError, derive_seed
 
@@ -88,15 +88,17 @@ def test_rounds_follow_the_protocol_and_move_schedules_and_environment(tmp_path,
     assert trainer.env.rounds_seen == [0, 0, 1]  # the spike plays in the state of round 0
 
 
-def test_uniform_play_ends_with_a_replicas_first_success_resumed_or_not(tmp_path):
-    """Dialogues of one guess, of which about half succeed: two replicas in three at first."""
-
+def test_a_schedule_falls_with_the_success_of_its_replica_resumed_or_not(tmp_path):
     def trainer_in(folder):
-        spec = GuessEnv(1, 1).action_spec_unbatched
-        uniform = UniformUntilSuccess(spec, 24, action_mask_key="action_mask")
-        sizes = {"places": 1, "rounds": 5, "replicas": 24, "checkpoint_every": 1}
-        made = make_trainer(folder, last=[uniform], **sizes)
-        made.round_metrics["uniform"] = lambda: uniform.eps.squeeze(-1)
+        explore = BatchedEGreedy(
+            GuessEnv(1, 1).action_spec_unbatched,
+            torch.ones(3, 1),
+            0.0,
+            action_mask_key="action_mask",
+            until_success=1.0,
+        )
+        made = make_trainer(folder, last=[explore], places=1, rounds=5, replicas=3)
+        made.round_metrics["by success"] = lambda: explore.eps.squeeze(-1)
         return made
 
     whole = trainer_in(tmp_path / "whole").train()
@@ -104,17 +106,16 @@ def test_uniform_play_ends_with_a_replicas_first_success_resumed_or_not(tmp_path
     stopped.begin()
     for _ in range(2):
         stopped.train_round()
+    stopped._save()
     resumed = trainer_in(tmp_path / "stopped").train(resume=True)
     for rows in (whole, resumed):
-        for replica in range(24):
-            own = rows[replica::24]
-            booked = [row["success_rate"] > 0 for row in own]
-            assert [row["uniform"] for row in own] == [
-                float(not any(booked[:number])) for number in range(5)
-            ]
-    seen = [row["success_rate"] for row in whole]
-    assert seen == [row["success_rate"] for row in resumed]
-    assert 0 < sum(seen[:24]) < 24  # by chance 2 / 2 ** 24
+        mean = dict.fromkeys(range(3), 0.0)
+        for row in rows:
+            assert row["by success"] == pytest.approx(1 - mean[row["replica"]], abs=1e-6)
+            mean[row["replica"]] += 0.2 * (row["success_rate"] - mean[row["replica"]])
+    seen = [(row["success_rate"], row["by success"]) for row in whole]
+    assert seen == [(row["success_rate"], row["by success"]) for row in resumed]
+    assert len(set(seen)) > 3
 
 
 def noted(monkeypatch, owner, name, events):
