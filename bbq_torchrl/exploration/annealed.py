@@ -16,9 +16,16 @@ from bbq_torchrl.networks.q_actor import legal_actions
 _WEIGHT = 0.2  # of the last round in the running mean of a replica's success rate
 
 
-def _see_success_(success: Tensor, rate: Tensor) -> Tensor:
-    """Updates the running mean ``success`` [replicas, 1] with a round's ``rate`` [replicas]."""
-    return success.lerp_(rate.to(success).unsqueeze(-1), _WEIGHT)
+def _left(success: Tensor, rate: Tensor, until: float) -> Tensor:
+    """Returns the share of a fall by success that is left, [replicas, 1].
+
+    Args:
+        success: the running mean of success, [replicas, 1]; updated.
+        rate: the last round's, [replicas].
+        until: the mean at which nothing is left.
+    """
+    success.lerp_(rate.to(success).unsqueeze(-1), _WEIGHT)
+    return (1 - success / until).clamp_min(0)
 
 
 class BatchedEGreedy(EGreedyModule):
@@ -53,6 +60,8 @@ class BatchedEGreedy(EGreedyModule):
         >>> explore(td)["action"].float().mean(-1)
         tensor([0.0000, ...])
     """
+
+    success: Tensor
 
     def __init__(
         self,
@@ -91,14 +100,14 @@ class BatchedEGreedy(EGreedyModule):
 
     def step(self, frames: int = 1) -> None:
         """Lowers epsilon by ``frames`` steps of the schedule; nothing with ``until_success``."""
-        if self.success is None:
+        if self.until_success is None:
             super().step(frames)
 
     def see_success(self, success_rate: Tensor) -> None:
         """Sets epsilon by success, if so constructed; see :meth:`Boltzmann.see_success`."""
-        if self.success is not None:
-            left = 1 - _see_success_(self.success, success_rate) / self.until_success
-            self.eps.copy_(self.eps_end + (self.eps_init - self.eps_end) * left.clamp_min(0))
+        if self.until_success is not None:
+            left = _left(self.success, success_rate, self.until_success)
+            self.eps.copy_(self.eps_end + (self.eps_init - self.eps_end) * left)
 
 
 class Boltzmann(TensorDictModuleBase):
@@ -141,7 +150,7 @@ class Boltzmann(TensorDictModuleBase):
     temperature: Tensor
     temperature_init: Tensor
     temperature_end: Tensor
-    success: Tensor | None
+    success: Tensor
 
     def __init__(
         self,
@@ -174,12 +183,12 @@ class Boltzmann(TensorDictModuleBase):
         self.register_buffer("temperature_end", end.to(device))
         self.register_buffer("temperature", start.to(device, copy=True))
         self.until_success = until_success
-        mean = None if until_success is None else torch.zeros_like(self.temperature)
-        self.register_buffer("success", mean)
+        if until_success is not None:
+            self.register_buffer("success", torch.zeros_like(self.temperature))
 
     def step(self, frames: int = 1) -> None:
         """Lowers the temperature by ``frames`` steps; nothing with ``until_success``."""
-        if self.success is None:
+        if self.until_success is None:
             fall = (self.temperature_init - self.temperature_end) / self.annealing_num_steps
             self.temperature.copy_(
                 torch.maximum(self.temperature_end, self.temperature - frames * fall)
@@ -192,10 +201,10 @@ class Boltzmann(TensorDictModuleBase):
             success_rate: the share of the round's dialogues that succeeded, [replicas]. It has
                 weight .2 in the mean, which starts at 0.
         """
-        if self.success is not None:
-            left = 1 - _see_success_(self.success, success_rate) / self.until_success
+        if self.until_success is not None:
+            left = _left(self.success, success_rate, self.until_success)
             start, end = self.temperature_init, self.temperature_end
-            self.temperature.copy_(end + (start - end) * left.clamp_min(0))
+            self.temperature.copy_(end + (start - end) * left)
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the drawn action in the form of the greedy one."""

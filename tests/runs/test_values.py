@@ -47,7 +47,8 @@ CASES = {
     "DQN": (f"agent=dqn {ANNEALED}", GAMMAS | OF_DQN),
     "VIME-MAP": ("agent=bbqn intrinsic=vime", {"agent.lr": [1e-3, 0.03]}),
     "VIME-MC, Boltzmann": (
-        f"agent=dqn intrinsic=vime intrinsic.weights=mc explore=boltzmann {ANNEALED}",
+        f"agent=dqn intrinsic=vime intrinsic.weights=mc explore=boltzmann {ANNEALED} "
+        "explore.anneal_by=success spike.successes=2",
         OF_VIME,
     ),
 }

@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import pytest
-from trainer_parts import make_trainer, random_policy
+import torch
+from trainer_parts import GuessEnv, make_trainer, random_policy
 
+from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.trainers import Spike, SpikeError
+from bbq_torchrl.trainers.collect import collect_dialogues
 
 
 def states(trainer):
@@ -57,3 +60,26 @@ def test_one_that_fills_the_capacity_is_refused(tmp_path):
     with pytest.raises(SpikeError):
         trainer.train()
     assert not (tmp_path / "checkpoint").exists()
+
+
+def test_without_one_the_newest_successes_stay_until_others_are_there():
+    replay, loaded = (ReplicaReplay(150, replicas=3, successes=2) for _ in range(2))
+    env = GuessEnv(3, 20)
+    env.set_seed(0)
+    torch.manual_seed(0)
+
+    def successes(policy):
+        collect_dialogues(replay, env, policy, 20, max_steps=9)
+        loaded.load_state_dict(replay.state_dict())
+        replay.load_state_dict(loaded.state_dict())
+        rows = [buffer[:] for buffer in replay.buffers]
+        return [row["observation"][row["next", "reward"][:, 0] > 3].tolist() for row in rows]
+
+    first = successes(random_policy)
+    assert all(len(own) > 2 for own in first)
+    for _ in range(4):  # 140 turns each
+        left = successes(lambda td: td.set("action", torch.ones(td.batch_size).long()))
+    assert left == [own[-2:] for own in first]
+    for _ in range(9):
+        newer = successes(random_policy)
+    assert all(len(own) > 2 and left[i][0] not in own for i, own in enumerate(newer))
