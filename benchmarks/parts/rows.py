@@ -6,13 +6,15 @@ import csv
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Literal
 
+import torch
+
 from bbq_torchrl.utils.reports import table
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
     from pathlib import Path
 
-HEAD = ("what", "unit", "measured", "to reach", "reached")
+HEAD = ("what", "unit", "measured", "to reach", "reached", "torch")
 
 
 @dataclass(frozen=True)
@@ -28,6 +30,7 @@ class Row:
         better: whether ``target`` is the least or the most that it may be.
         is_bound: whether ``measured`` is only a lower bound, the rest having been cut off.
         remark: shown behind ``what``.
+        torch: the version that it was measured with.
     """
 
     part: str
@@ -38,6 +41,7 @@ class Row:
     better: Literal["higher", "lower"] = "lower"
     is_bound: bool = False
     remark: str = ""
+    torch: str = torch.__version__
 
     @property
     def reached(self) -> bool | None:
@@ -58,7 +62,7 @@ def as_table(rows: Sequence[Row]) -> str:
         reached = {None: "–", True: "yes", False: "no"}[row.reached]
         what = f"{row.what} ({row.remark})" if row.remark else row.what
         measured = f"> {number(row.measured)}" if row.is_bound else number(row.measured)
-        lines.append((what, row.unit, measured, target, reached))
+        lines.append((what, row.unit, measured, target, reached, row.torch))
     return table(HEAD, lines)
 
 
@@ -96,5 +100,5 @@ def keep(file: Path, version: str, rows: Sequence[Row]) -> None:
             for row in kept:
                 target = "" if row.target is None else f"{row.target:g}"
                 measured = f"{float(format(row.measured, '.4g')):g}"
-                told = (row.better, "yes" if row.is_bound else "", row.remark)
+                told = (row.better, "yes" if row.is_bound else "", row.remark, row.torch)
                 writer.writerow((name, row.part, row.what, row.unit, measured, target, *told))

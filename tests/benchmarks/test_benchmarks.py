@@ -77,7 +77,8 @@ def test_numbers_of_another_device_are_drawn_by_the_cpus_generator():
 def test_figures_are_printed_and_kept_as_a_versions(tmp_path, capsys):
     file = tmp_path / "speed.csv"
     compare.main(["process", "--tiny", "--save=0.2.0", f"--file={file}"])
-    assert "| python train.py --help | s | 3 | ≤ 6 | yes |" in capsys.readouterr().out
+    line = f"| python train.py --help | s | 3 | ≤ 6 | yes | {torch.__version__} |"
+    assert line in capsys.readouterr().out
     assert [row.what for row in read(file)["0.2.0"]][1:] == ["python train.py --help"]
 
 
@@ -97,15 +98,18 @@ def test_rows_take_the_place_of_the_same_version_and_part(tmp_path):
     ("row", "line"),
     [
         (
-            Row("a", "bound", "s", 1.0, 2.0, is_bound=True, remark="1 of 5"),
-            "| bound (1 of 5) | s | > 1 | ≤ 2 | no |",
+            Row("a", "bound", "s", 1.0, 2.0, is_bound=True, remark="1 of 5", torch="2.14.1"),
+            "| bound (1 of 5) | s | > 1 | ≤ 2 | no | 2.14.1 |",
         ),
         (
-            Row("a", "speed", "turns/s", 99.0, 100.0, "higher"),
-            "| speed | turns/s | 99 | ≥ 100 | no |",
+            Row("a", "speed", "turns/s", 99.0, 100.0, "higher", torch="2.14.1"),
+            "| speed | turns/s | 99 | ≥ 100 | no | 2.14.1 |",
         ),
-        (Row("a", "time", "s", 1.0, 1.0), "| time | s | 1 | ≤ 1 | yes |"),
-        (Row("a", "other", "ms", 3.14159), "| other | ms | 3.14 | – | – |"),
+        (Row("a", "time", "s", 1.0, 1.0, torch="2.14.1"), "| time | s | 1 | ≤ 1 | yes | 2.14.1 |"),
+        (
+            Row("a", "other", "ms", 3.14159, torch="2.14.1"),
+            "| other | ms | 3.14 | – | – | 2.14.1 |",
+        ),
     ],
 )
 def test_a_table_says_what_is_reached(row, line):
