@@ -1,7 +1,5 @@
 """The losses on which every convention is tested."""
 
-from __future__ import annotations
-
 import pytest
 from q_transitions import bayes_loss, heads_loss, noisy_loss, plain_loss
 

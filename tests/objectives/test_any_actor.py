@@ -1,7 +1,5 @@
 """Custom actors: sequences of modules, convolutional and recurrent ones, bare networks."""
 
-from __future__ import annotations
-
 import pytest
 import q_transitions
 import torch

@@ -1,7 +1,5 @@
 """BBQNLoss against its definition, written with torch.distributions and autograd."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from q_transitions import (

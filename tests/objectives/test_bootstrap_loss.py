@@ -1,7 +1,5 @@
 """BootstrapDQNLoss against a loop over heads in plain torch."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from q_transitions import (

@@ -1,7 +1,5 @@
 """Draws and losses as one graph of torch.compile."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from q_transitions import bayes_loss, heads_loss, noisy_loss, plain_loss, transitions

@@ -1,7 +1,5 @@
 """DropoutDQNLoss against TorchRL's DQNLoss, and NoisyDQNLoss against its definition."""
 
-from __future__ import annotations
-
 from contextlib import nullcontext
 from copy import deepcopy
 

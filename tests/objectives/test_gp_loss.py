@@ -1,7 +1,5 @@
 """The closed-form fit of Q next to dynamic programming, and its replicas."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from q_transitions import ACTIONS, FEATURES, REPLICAS, transitions

@@ -1,7 +1,5 @@
 """Errors of losses, when they are created and when they are called."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from q_transitions import ACTIONS, FEATURES, HEADS, bayes_loss, heads_loss, plain_loss, transitions

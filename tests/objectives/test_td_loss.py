@@ -1,7 +1,5 @@
 """The TD loss under torch.func transforms, against autograd and a loop."""
 
-from __future__ import annotations
-
 from typing import get_args
 
 import pytest

@@ -1,11 +1,12 @@
 """TorchRL's conventions for losses: keys, dispatch, functional parameters, copies."""
 
-from __future__ import annotations
+from functools import partial
 
 import pytest
 import torch
 from dynamics_losses import COPIES, gradients, result
-from q_transitions import FEATURES, transitions
+from q_transitions import FEATURES, bayes_loss, noisy_loss, plain_loss, transitions
+from torch.utils.checkpoint import checkpoint
 from torchrl.data import MultiStep
 from torchrl.objectives.utils import ValueEstimators
 
@@ -36,11 +37,6 @@ def test_it_reads_and_returns_what_its_keys_say(make, replicas):
     assert loss.out_keys in [["loss", "loss_value", "td_error", "q_value", *a] for a in added]
     assert set(out.keys()) == set(loss.out_keys)
     assert td["td_error"].shape == (*replicas, 32, 1)
-
-
-def test_keys_can_be_selected(make):
-    loss = make()
-    assert list(loss.select_out_keys("loss")(transitions()).keys()) == ["loss"]
 
 
 def test_it_can_be_called_with_tensors(make):
@@ -132,3 +128,13 @@ def test_a_failing_network_leaves_its_parameters_in_place(make):
         loss(td.clone().set(("next", "observation"), torch.randn(32, FEATURES + 1)))
     assert all(a is b for a, b in zip(loss.value_network.parameters(), own, strict=True))
     assert all(gradient.isfinite().all() for gradient in gradients(loss, td))
+
+
+@pytest.mark.parametrize("make", [bayes_loss, partial(plain_loss, dropout=0.3), noisy_loss])
+def test_activation_checkpointing_leaves_the_gradients_unchanged(make):
+    (loss, _), td, found = make(), transitions(), []
+    for call in (lambda run: run(), partial(checkpoint, use_reentrant=False)):
+        torch.manual_seed(0)
+        out = call(lambda: loss(td)["loss"])
+        found.append(torch.autograd.grad(out, list(loss.parameters())))
+    assert all(map(torch.equal, *found))

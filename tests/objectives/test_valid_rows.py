@@ -1,7 +1,5 @@
 """The rows of a batch that a loss learns from, their dtypes, and independent replicas."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from dynamics_losses import gradients, result
@@ -49,16 +47,6 @@ def test_a_mask_and_priority_weights_multiply(make):
     expected = everything(loss, td[4:16])
     td["valid"] = torch.arange(32) < 16
     torch.testing.assert_close(everything(loss, td), expected)
-
-
-def test_priority_weights_count_unless_they_are_switched_off(make):
-    loss, td = make(dtype=torch.double), transitions(dtype=torch.double)
-    plain = result(loss, td)
-    td["priority_weight"] = torch.rand(32).double()
-    weighted = result(loss, td)
-    assert not torch.allclose(weighted["loss_value"], plain["loss_value"])
-    loss.use_prioritized_weights = False
-    torch.testing.assert_close(result(loss, td), plain)
 
 
 def test_rewards_may_be_whole_numbers_and_ends_and_masks_too(make):
