@@ -47,17 +47,19 @@ class Judge:
 
     A conversation is a success if
 
-    1. the last offer of a booking has every wish of the goal card,
+    1. the last offer of a booking has every wish of the goal card, or all records that it may book
+       have it,
     2. that offer says that there is a ticket,
-    3. every question of the card was answered, by itself or in an offer, and one record of the
-       knowledge base has all wishes and all answers,
+    3. every question of the card was answered at some time, by itself or in an offer, and one
+       record of the knowledge base has all wishes and, for every question, one of the answers,
     4. it ended before it ran out of turns.
 
     The simulator also requires that no slot remains without a match: either side must give each
     such slot another value afterwards, and a refused offer counts until the agent informs the
     ticket itself. A person who got everything on the card does not fail because of it; for other
-    conversations it is one more reason. With ``as_simulated`` it is a condition, and in dialogues
-    without errors that the agent ends, the rule is the simulator's.
+    conversations it is one more reason. With ``as_simulated`` it is a condition, only the words of
+    the offer and each question's last answer count, and in dialogues without errors that the agent
+    ends, the rule is the simulator's.
 
     Args:
         domain: the domain of the conversations.
@@ -67,7 +69,7 @@ class Judge:
     def __init__(self, domain: Domain, *, as_simulated: bool = False) -> None:
         self._as_simulated = as_simulated
         self._ticket, self._complete = domain.ticket_slot, domain.complete_slot
-        self._free = frozenset(domain.free_slots)
+        self._free = frozenset((*domain.free_slots, *domain.special_slots))
         self._all = frozenset(range(len(domain.records)))
         self._rows: dict[tuple[str, str], set[int]] = defaultdict(set)
         self._has: dict[str, set[int]] = defaultdict(set)
@@ -92,26 +94,34 @@ class Judge:
             in_time: whether it ended before it ran out of turns.
         """
         offer: dict[str, str] = {}
-        answers: dict[str, str] = {}
+        answers: dict[str, set[str]] = defaultdict(set)
         latest: dict[str, str] = {}
         for understood, answered in exchanges:
             latest |= _folded(understood.informs)
             informed = _folded(answered.informs)
-            if self._complete in informed:
+            is_offer = self._complete in informed
+            if is_offer:
                 offer = informed
-                answers |= {} if self._as_simulated else _real(informed)
                 if informed[self._complete] == _NO_MATCH:
                     latest[self._ticket] = _NO_MATCH
             elif answered.act in ("inform", "request"):  # or answers, followed by a question
                 latest |= informed
-                answers |= informed
-        asked = {slot: answers.get(slot, _NO_MATCH) for slot in goal.requests}
+            else:
+                continue
+            for slot, value in informed.items():
+                if not self._as_simulated:
+                    answers[slot].add(value)
+                elif not is_offer:
+                    answers[slot] = {value}
         wishes = _folded(goal.constraints)
+        right = self._matching(wishes)
+        for slot in goal.requests:
+            right = right & self._having(slot, answers[slot])
         faults = {
             "no offer": not offer,
-            "wishes": bool(offer) and not _holds(offer, wishes),
+            "wishes": bool(offer) and not self._has_wishes(offer, wishes),
             "no ticket": bool(offer) and offer[self._complete] != _AVAILABLE,
-            "questions": not self._matching(wishes) & self._holding(asked.items()),
+            "questions": not right,
         }
         is_strict = self._as_simulated or any(faults.values())
         faults["no match left"] = is_strict and _NO_MATCH in latest.values()
@@ -120,28 +130,29 @@ class Judge:
 
     def _matching(self, values: Mapping[str, str]) -> frozenset[int]:
         """Returns the records that have all values; free slots and "do not care" match any."""
-        return self._holding(
-            (slot, value)
+        wanted = (
+            self._having(slot, [value])
             for slot, value in _folded(values).items()
             if slot not in self._free and value != _DONT_CARE
         )
+        return self._all.intersection(*wanted)
 
-    def _holding(self, items: Iterable[tuple[str, str]]) -> frozenset[int]:
-        """Returns the records that have all values, without exceptions."""
-        return self._all.intersection(*(self._rows.get(item, ()) for item in items))
+    def _having(self, slot: str, values: Iterable[str]) -> set[int]:
+        """Returns the records that have one of the values."""
+        return set().union(*(self._rows.get((slot, value), ()) for value in values))
+
+    def _has_wishes(self, offer: Mapping[str, str], wishes: Mapping[str, str]) -> bool:
+        """Returns whether an offer says each wish, or all records that it may book have it."""
+        booked = frozenset() if self._as_simulated else self._matching(offer)
+        return all(
+            value in (offer.get(slot), _DONT_CARE)
+            or (booked and booked <= self._having(slot, [value]))
+            for slot, value in wishes.items()
+        )
 
 
 def _folded(values: Mapping[str, str]) -> dict[str, str]:
     return {slot: fold(value) for slot, value in values.items()}
-
-
-def _real(values: Mapping[str, str]) -> dict[str, str]:
-    reserved = (_NO_MATCH, _AVAILABLE, _DONT_CARE)
-    return {slot: value for slot, value in values.items() if value not in reserved}
-
-
-def _holds(offer: Mapping[str, str], wishes: Mapping[str, str]) -> bool:
-    return all(value in (offer.get(slot), _DONT_CARE) for slot, value in wishes.items())
 
 
 REASONS = {

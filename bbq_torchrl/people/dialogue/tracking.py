@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import torch
 from tensordict import TensorDict
 
-from bbq_torchrl.domains.frames import NO_MATCH_TEXT, Coding
+from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT, Coding
 from bbq_torchrl.people.language import Frame
 from bbq_torchrl.simulator import Utterance
 
@@ -163,10 +163,14 @@ class Acted:
 
     @property
     def answered(self) -> Frame:
-        """All acts as one: the last act, with the values that earlier answers inform."""
+        """All acts as one: the last act, with the values that earlier answers inform.
+
+        An offer's "I do not care" does not replace an answer.
+        """
         *answers, (last, _) = self.parts
         informs = {slot: value for act, _ in answers for slot, value in act.informs.items()}
-        return Frame(last.act, {**informs, **last.informs}, last.requests)
+        later = {s: value for s, value in last.informs.items() if s not in informs or value != ANY}
+        return Frame(last.act, {**informs, **later}, last.requests)
 
 
 class Acting:

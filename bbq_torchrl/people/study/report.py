@@ -155,15 +155,18 @@ def _agreement(outcomes: Outcomes) -> Iterator[str]:
     both = outcomes.by_person(
         lambda item: None if item.verdict is None else (item.verdict, item.success)
     )
-    found = kappa(list(both.values()))
     yield "## People's own verdict and the judge's"
+    pairs = Counter(chain(*both.values()))
+    own, judges = pairs[True, False], pairs[False, True]
+    yield (
+        f"They differ in {own + judges} of {_count(both.values())} sessions: {own} are a success "
+        f"by people's own verdict alone, {judges} by the judge's alone."
+    )
+    found = kappa(list(both.values()))
     if math.isnan(found.value):
         yield "κ is undefined: one of the two is always the same, or nothing is rated."
     else:
-        yield (
-            f"Cohen's κ {found} over {_count(both.values())} sessions "
-            "(95 % bootstrap interval over people)."
-        )
+        yield (f"Cohen's κ {found} (95 % bootstrap interval over people).")
 
 
 def _uncertainty(outcomes: Outcomes) -> Iterator[str | Table]:

@@ -71,9 +71,17 @@ def test_a_card_says_what_is_wished_and_asked_for_in_peoples_words():
         ([*WON, offer(moviename="deadpool")], ("wishes",)),
         ([*ANSWERS, offer("no match", **WISHES)], ("no ticket", "no match left")),
         ([ANSWERS[0], offer(**WISHES, date="I do not care")], ("questions",)),
+        # An answer once given counts.
+        ([*ANSWERS, told(date="no match"), offer(**WISHES)], ()),
+        ([*ANSWERS, offer(**WISHES, date="I do not care")], ()),
+        # The theater that is booked is in the city wished for, whether it was said or not.
+        ([*ANSWERS, offer(moviename="Deadpool", theater="roxy", numberofpeople="2")], ()),
+        ([*ANSWERS, offer(**WISHES | {"city": "I do not care"}, theater="roxy")], ()),
+        ([*ANSWERS, offer(**WISHES | {"city": "I do not care"}, theater="odeon")], ("wishes",)),
+        ([*ANSWERS, offer(moviename="Deadpool", theater="roxy")], ("wishes",)),  # for how many?
         ([told(theater="odeon"), told(date="today"), offer(**WISHES)], ("questions",)),
         ([told(theater="lux"), told(date="today"), offer(**WISHES)], ("questions",)),
-        ([*ANSWERS, told(date="no match"), offer(**WISHES)], ("questions", "no match left")),
+        ([told(date="no match"), offer(**WISHES)], ("questions", "no match left")),
         # An answer may stand in the offer, or before a question.
         ([told(theater="odeon"), told(date="no match"), WON[2]], ()),
         ([asked("city", theater="roxy", date="today"), offer(**WISHES)], ()),

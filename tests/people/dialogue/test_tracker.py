@@ -7,7 +7,7 @@ import torch
 from study.simulated import Dialogues
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.people.dialogue.tracking import Tracking
+from bbq_torchrl.people.dialogue.tracking import Acted, Tracking
 from bbq_torchrl.people.language import Frame
 from bbq_torchrl.simulator import Simulator
 
@@ -45,3 +45,10 @@ def test_a_question_is_kept_while_the_person_answers_and_shown_again_after(movie
     state = tracking.act(state, movie.action_index("inform(theater)"))
     assert not state["heard_requests"].any()
     assert not state["open_requests"].any()
+
+
+def test_an_answer_stays_beside_an_offer_to_whom_it_does_not_matter():
+    answer = Frame("inform", {"date": "today", "city": "reno"})
+    offer = Frame("inform", {"date": "I do not care", "taskcomplete": "ticket available"})
+    acted = Acted(Frame("thanks"), None, ((answer, {}), (offer, {})), ())
+    assert acted.answered.informs == {**answer.informs, "taskcomplete": "ticket available"}

@@ -67,7 +67,8 @@ def test_every_number_of_a_small_study(fill):
     assert "| secret-dqn | 4 | 4 |" in text  # the reasons
     assert "Nobody is conspicuous." in text
     # Verdict and judge agree in 8 of 10 sessions, and would by chance in .7 × .5 + .3 × .5.
-    assert re.search(r"Cohen's κ 0\.60 \[\S+, \S+\] over 10 sessions", text)
+    assert "differ in 2 of 10 sessions: 2 are a success by people's own verdict alone, 0 " in text
+    assert re.search(r"Cohen's κ 0\.60 \[\S+, \S+\]", text)
 
 
 def test_peoples_names_tell_nothing_of_who_came_when(fill):
