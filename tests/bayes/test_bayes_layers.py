@@ -1,7 +1,5 @@
 """Bayesian layers against torch's layers with the same weights: draws, KL, custom layers."""
 
-from __future__ import annotations
-
 from functools import partial
 from itertools import product
 

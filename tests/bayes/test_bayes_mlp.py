@@ -1,7 +1,5 @@
 """Bayesian networks: modes, gradients, starts, devices, the prior's spread of Q."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 
 import pytest

@@ -1,9 +1,4 @@
-"""Allowed settings: numbers, one for all replicas or one for each, and words.
-
-tests/cli/test_values.py has how replicas with values of their own train.
-"""
-
-from __future__ import annotations
+"""Allowed settings: numbers, one for all replicas or one for each, and words."""
 
 import math
 

@@ -1,7 +1,5 @@
 """The noise of weight draws: fast normal numbers, a pool of them, and noise shared by passes."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from scipy import stats

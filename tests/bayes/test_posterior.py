@@ -1,7 +1,5 @@
 """The Gaussian posterior: its KL and gradients against torch.distributions and autograd."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch.distributions import Normal, kl_divergence

@@ -1,7 +1,5 @@
 """The scope around a call: which weights its layers use, and what their KL is."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch import nn

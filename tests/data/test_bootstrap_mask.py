@@ -1,7 +1,5 @@
 """The masks of heads that learn from a transition."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict

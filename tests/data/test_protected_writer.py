@@ -1,7 +1,5 @@
 """The writer that protects first rows (test_replica_replay.py, too) and newest successes."""
 
-from __future__ import annotations
-
 import random
 
 import pytest

@@ -1,7 +1,5 @@
 """Replay buffers of several replicas: epochs, eviction, spiking, state, transforms."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 from itertools import pairwise
 

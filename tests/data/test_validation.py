@@ -1,7 +1,5 @@
 """Invalid transitions are refused when they are stored."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict

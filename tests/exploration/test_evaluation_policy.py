@@ -1,7 +1,5 @@
 """The policies of one posterior: mean network, average of draws, one draw, new draws."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from q_actor import bayes_actor, observations

@@ -1,7 +1,5 @@
 """All policies: their actions, and errors."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 
 import pytest

@@ -1,7 +1,5 @@
 """Acting on one head at a time, and by the vote of all."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from hypothesis import given, settings, strategies as st

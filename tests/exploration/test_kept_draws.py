@@ -1,7 +1,5 @@
 """The lifetime of a policy's draws: weights, noise, or heads."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import pytest

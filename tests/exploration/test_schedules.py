@@ -1,9 +1,4 @@
-"""Boltzmann and ε-greedy: what they draw, and schedules with values of their own along the batch.
-
-tests/cli/test_values.py has how these act in a training.
-"""
-
-from __future__ import annotations
+"""Boltzmann and ε-greedy: what they draw, and schedules with values of their own along the batch."""
 
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """``explore=thompson_boltzmann`` draws weights, then an action from the softmax of their values."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from scipy import stats

@@ -4,8 +4,6 @@ Every test compares counts of actions with the truth by a chi-square test, which
 below 1e-6: by chance once in a million runs.
 """
 
-from __future__ import annotations
-
 import pytest
 import torch
 from scipy import integrate, stats

@@ -1,7 +1,5 @@
 """Syncing an actor's weights into its policies as TorchRL's trainers and collectors do."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 
 import pytest

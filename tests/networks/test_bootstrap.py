@@ -1,7 +1,5 @@
 """The network with bootstrap heads against K separate ones, and its priors."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from q_transitions import REPLICAS, plain_mlp

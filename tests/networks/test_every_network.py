@@ -1,7 +1,5 @@
 """All networks and their actors: precision, derivatives, errors."""
 
-from __future__ import annotations
-
 import pickle
 from functools import partial
 

@@ -1,7 +1,5 @@
 """FlatMLP, on a flat weight vector against one written with torch's own layers."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from q_transitions import plain_mlp

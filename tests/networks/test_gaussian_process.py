@@ -1,7 +1,5 @@
 """A Gaussian process on features next to exact ones, and its draws next to their moments."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

@@ -1,7 +1,5 @@
 """A masked network of full size is the same as one that grows: until then, a smaller one."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import pytest

@@ -1,7 +1,5 @@
 """NoisyMLP: outputs, replicas and modes by their definition, its start against TorchRL's."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type

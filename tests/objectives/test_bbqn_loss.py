@@ -123,7 +123,6 @@ def test_values_of_replicas_are_where_the_network_is(name):
 
 
 def test_the_values_of_replicas_are_no_part_of_the_state_and_follow_the_loss():
-    """tests/cli/test_values.py shows that replicas learn with separate values."""
     loss, _ = bayes_loss((3,), noise_std=torch.ones(3), kl_temperature=torch.zeros(3))
     assert loss.state_dict().keys() == bayes_loss((3,))[0].state_dict().keys()
     # A buffer moves along with its module.

@@ -1,7 +1,5 @@
 """DynamicsModel: running statistics by their definition, actions in every form, replicas."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from dynamics_losses import model

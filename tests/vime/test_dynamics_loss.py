@@ -1,7 +1,5 @@
 """DynamicsLoss against its definition, and its schedule."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from dynamics_losses import COPIES, dynamics_loss, model, result

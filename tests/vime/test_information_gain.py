@@ -1,7 +1,5 @@
 """The information gain against per-sample gradients, the KL's Hessian, and the exact KL."""
 
-from __future__ import annotations
-
 from copy import deepcopy
 
 import pytest
