@@ -202,17 +202,24 @@ class Composer:
             around = {"": said, "<wrong>": [Piece(other)]}
             parts.append(self._fill(self._phrases.user["correct"], turn, slot, around))
         elif turn.left and turn.question is OPENING:
-            parts.append(self._open(turn))
+            parts += self._open(turn)
         return parts
 
-    def _open(self, turn: _Turn) -> list[Piece]:
-        stated = self._fill(self._phrases.user["open"], turn)
+    def _open(self, turn: _Turn) -> list[list[Piece]]:
+        """Returns a whole sentence, unless each needs a value that there is not."""
+        options, values = (
+            self._phrases.user["open"],
+            {slot: turn.values[slot] for slot in turn.left},
+        )
+        if not any(is_possible(option, values, self._rules) for option in options):
+            return []
+        stated = self._fill(options, turn)
         while turn.left and turn.rng.random() < 0.9:
             slot = turn.left.pop()
             piece = self._slot_phrase(slot, "with", turn)
             mark = Piece(turn.rng.choice([" ", " ", " ", ", "]))
             stated = [*stated, mark, *piece] if turn.rng.random() < 0.9 else [*piece, mark, *stated]
-        return stated if turn.is_terse else self._wrap("state", stated, turn)
+        return [stated if turn.is_terse else self._wrap("state", stated, turn)]
 
     def _rest(self, turn: _Turn, *, is_first: bool) -> list[list[Piece]]:
         """Returns clauses for the remaining values."""

@@ -320,7 +320,23 @@ class _Reader:
         except CycleError as error:
             circle = " -> ".join(reversed(error.args[1]))
             self.faults.append(f"rules must not name each other in a circle, got {circle}")
-        return Phrases(read["rules"], read["user"], read["agent"], slots)
+        phrases = Phrases(read["rules"], read["user"], read["agent"], slots)
+        if not self.faults:
+            self._check_values(phrases)
+        return phrases
+
+    def _check_values(self, phrases: Phrases) -> None:
+        """Adds a fault for each list whose phrases all need values that may be missing."""
+        rules = {**phrases.rules, "thing": phrases.user["thing"]}
+        lists = {f"user.{key}": ("", texts) for key, texts in phrases.user.items()}
+        lists |= {f"agent.{key}": ("", texts) for key, texts in phrases.agent.items()}
+        del lists["user.open"]  # without a value, clauses with the others take its place
+        for slot, entry in phrases.slots.items():
+            lists |= {f"slots.{slot}.{key}": (slot, texts) for key, texts in entry.phrases.items()}
+        for where, (own, texts) in lists.items():
+            values = dict.fromkeys((own, "q", *(f"<{rule}>" for rule in _DERIVED)), ())
+            if not any(is_possible(text, values, rules) for text in texts):
+                self.faults.append(f"{where} must have a phrase without the value of another slot")
 
     def _slot(self, slot: str, content: Any, generic: dict[str, Any]) -> SlotPhrases:
         where = f"slots.{slot}"

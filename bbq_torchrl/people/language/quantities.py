@@ -155,6 +155,8 @@ def read_time(text: str) -> str | None:
     if kept == ["midnight"]:
         return f"{relation} 00:00"
     clock = _clock(kept)
+    if clock is None and meridian is not None and len(kept) == 2:
+        clock = _clock([kept[0], "oh", kept[1]])  # "ten five pm"
     if clock is None:
         return None
     hour, minute, has_24 = clock

@@ -129,6 +129,22 @@ def test_a_domain_of_few_slots_has_sentences(restaurant, n_slots):
     assert len(make_examples(Lexicon(domain), 1_000, seed=0)) == 1_000
 
 
+def test_an_opening_of_which_each_phrase_needs_a_value_is_said_where_there_is_one(tmp_path):
+    (tmp_path / "language.yaml").write_text('user: {open: ["find me {city}"]}')
+    composer = Composer(Lexicon(replace(movie_domain(), folder=tmp_path)))
+    for informs in ({"city": "reno"}, {"genre": "comedy"}):
+        said = [
+            plain(
+                composer.compose(
+                    Frame("inform", informs), None, random.Random(seed), lambda s, v, r: v
+                )
+            )
+            for seed in range(20)
+        ]
+        assert all(value in text for text in said for value in informs.values())
+        assert any("find me reno" in text for text in said) == ("city" in informs)
+
+
 def test_generic_phrases_ask_several_things_at_once():
     frame, asked = Frame("request", {}, ("city", "price")), set()
     composer = Composer(Lexicon(replace(movie_domain(), folder=None)))
@@ -159,6 +175,8 @@ def test_what_was_without_a_match_is_corrected_by_that(speak):
         ('rules: {please: ["<filler> x", "y"], filler: ["<please>"]}', "please -> filler"),
         ('rules: {please: ["<please> x", "y"]}', "please -> please"),
         ("slots: {city: {say: 7}}", "slots.city.say"),
+        ('slots: {city: {any: ["any of {theater}"]}}', "slots.city.any"),
+        ('agent: {deny: ["<sorry>"]}\nrules: {sorry: ["not {city}"]}', "agent.deny"),
         ("slots: {city: {kind: number}}", "slots.city.kind"),
         ("slots: {city: {capitals: yes}}", "slots.city.capitals"),
         ("slots: [a]", "slots"),
