@@ -31,15 +31,6 @@ def test_values_are_those_of_the_mean_network_or_the_mean_over_draws(mode, draws
     assert torch.equal(out["action"], expected.masked_fill(~legal, -torch.inf).argmax(-1))
 
 
-@pytest.mark.parametrize("mode", ["average", "draw"])
-def test_draws_stay_until_resampled(mode):
-    policy, td = EvaluationPolicy(bayes_actor((2,)), mode=mode), observations(2, 8)
-    first = legal_values(policy, td)
-    assert torch.equal(legal_values(policy, td), first)
-    policy.resample()
-    assert not (legal_values(policy, td) == first).any()
-
-
 @pytest.mark.parametrize("replicas", REPLICAS)
 def test_thompson_acts_as_the_policy_that_trains_whatever_the_exploration_type(replicas):
     actor, td = bayes_actor(replicas), observations(*replicas, 8)

@@ -32,21 +32,30 @@ def noisy(replicas=(), shared=False, per="step"):
     return NoisySampling(noisy_actor(replicas), shared=shared)
 
 
-def evaluated(**_):
-    return EvaluationPolicy(bayes_actor(), mode="average")
+def evaluated(replicas=(), mode="average", **_):
+    return EvaluationPolicy(bayes_actor(replicas), mode=mode)
 
 
 shared, shared_noise = partial(thompson, shared=True), partial(noisy, shared=True)
+one_draw = partial(evaluated, mode="draw")
+FOR_ALL_ROWS = (shared, shared_noise, evaluated, one_draw)
 HOLDING = [(make, per) for make in (thompson, shared, heads) for per in PER]
+KEPT = [
+    *HOLDING,
+    (noisy, "step"),
+    (shared_noise, "step"),
+    (evaluated, "round"),
+    (one_draw, "round"),
+]
 
 
 @pytest.mark.parametrize("replicas", REPLICAS)
-@pytest.mark.parametrize(("make", "per"), [*HOLDING, (noisy, "step"), (shared_noise, "step")])
+@pytest.mark.parametrize(("make", "per"), KEPT)
 def test_a_draw_is_kept_for_a_step_a_dialogue_or_a_round(make, per, replicas):
     policy, td = make(replicas, per=per), observations(*replicas, 40)
     first = values(policy, td)
     for rows in first.reshape(-1, 40):
-        if make in (shared, shared_noise):  # equal rows of a product may be rounded differently
+        if make in FOR_ALL_ROWS:  # equal rows of a product may be rounded differently
             torch.testing.assert_close(rows, rows[:1].expand(40), rtol=0, atol=1e-4)
         else:
             assert torch.unique(rows).numel() > 30

@@ -1,4 +1,4 @@
-"""Boltzmann and ε-greedy: what they draw, and schedules with values of their own along the batch."""
+"""Boltzmann and ε-greedy: what they draw, and schedules of each part of a batch."""
 
 import pytest
 import torch
