@@ -1,7 +1,5 @@
 """The benchmarks run, in sizes that take no time and mean nothing, and count and compare right."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torch.utils.flop_counter import FlopCounterMode

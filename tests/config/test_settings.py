@@ -1,7 +1,5 @@
 """Every invalid value of a key is refused by name."""
 
-from __future__ import annotations
-
 import math
 
 import pytest

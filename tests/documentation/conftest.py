@@ -1,7 +1,5 @@
 """Makes the repository's scripts importable: they are not in the package."""
 
-from __future__ import annotations
-
 import sys
 from pathlib import Path
 

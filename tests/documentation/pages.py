@@ -1,7 +1,5 @@
 """Parts shared by the documentation's tests: the pages and the code in them."""
 
-from __future__ import annotations
-
 import re
 import shlex
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The Python of the pages runs, their commands are accepted, and files that they print work."""
 
-from __future__ import annotations
-
 import re
 import sys
 from types import ModuleType

@@ -1,7 +1,5 @@
 """The rooms: what the page says, what an import loads, and which names are public."""
 
-from __future__ import annotations
-
 import importlib
 import re
 

@@ -1,7 +1,5 @@
 """Pages agree with the repository and the configuration; generated parts are current."""
 
-from __future__ import annotations
-
 import re
 import shlex
 import shutil

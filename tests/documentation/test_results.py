@@ -1,7 +1,5 @@
 """The files kept of a run, and the tables made of them."""
 
-from __future__ import annotations
-
 import lzma
 
 import pytest

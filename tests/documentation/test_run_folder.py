@@ -1,7 +1,5 @@
 """The documentation explains every column and every file that a run leaves."""
 
-from __future__ import annotations
-
 import csv
 import re
 

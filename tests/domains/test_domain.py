@@ -1,7 +1,5 @@
 """Domains: consistent data is accepted, every inconsistency is refused by field and value."""
 
-from __future__ import annotations
-
 import pickle
 from dataclasses import replace
 

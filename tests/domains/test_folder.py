@@ -1,7 +1,5 @@
 """Domain folders: what is saved loads again, and damage is reported by file, line and value."""
 
-from __future__ import annotations
-
 import json
 import shutil
 import tempfile

@@ -1,7 +1,5 @@
 """Importing a corpus in MiuLab's format: the domain folder loads, plays and trains."""
 
-from __future__ import annotations
-
 import pickle
 import re
 import sys

@@ -1,7 +1,5 @@
 """The reader of the public corpus, on a corpus of two records: its format, and refusals."""
 
-from __future__ import annotations
-
 import collections
 import datetime
 import pickle

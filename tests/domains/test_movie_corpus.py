@@ -3,8 +3,6 @@
 The tests count by themselves, without the library.
 """
 
-from __future__ import annotations
-
 import runpy
 from collections import Counter
 from pathlib import Path

@@ -1,7 +1,5 @@
 """The shipped hotels and restaurants: consistent, small, and as hard as the movies."""
 
-from __future__ import annotations
-
 import pytest
 
 from bbq_torchrl.cli.evaluate import composed, evaluation

@@ -1,7 +1,5 @@
 """The ids of values. The oracle's agreement shows that ids mean the same as texts."""
 
-from __future__ import annotations
-
 from dataclasses import fields, replace
 
 import pytest

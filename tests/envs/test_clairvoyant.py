@@ -1,7 +1,5 @@
 """The privileged policy books whatever can be booked."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

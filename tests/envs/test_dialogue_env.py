@@ -1,7 +1,5 @@
 """The dialogue environment: specs, resets, seeds, state, settings."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Domain extension: slots, actions, goals and features that are added during training."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """The Gymnasium environment: Gymnasium's checker, and the same dialogues as DialogueEnv."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 

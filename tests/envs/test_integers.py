@@ -1,7 +1,5 @@
 """Integers of NumPy and of other widths, as seeds, counts and actions."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 import torch

@@ -1,7 +1,5 @@
 """Turns in which some dialogues wait: TorchRL's entry ``_step``."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict

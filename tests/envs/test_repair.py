@@ -1,7 +1,5 @@
 """The policy that asks again: its actions in different situations, and its memory."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict import TensorDict

@@ -1,12 +1,10 @@
 """The state of environments in what TorchRL saves, and the dialogues after loading it."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import pytest
 import torch
-from torchrl.collectors import Collector, MultiSyncCollector
+from torchrl.collectors import Collector
 from torchrl.envs import (
     Compose,
     InitTracker,
@@ -103,30 +101,6 @@ def test_a_collector_goes_on_where_it_was_saved(restaurant, tmp_path):
     assert torch.equal(found["next", "reward"], expected["next", "reward"])
     for each in (one, other):
         each.shutdown()
-
-
-@pytest.mark.slow
-def test_a_collector_of_processes_saves_and_loads_their_dialogues(restaurant):
-    policy = scripted_policy("rule", DialogueEnv(restaurant))
-    states = []
-    for seed in (0, 7):
-        collector = MultiSyncCollector(
-            two(transformed, restaurant, seed), policy, frames_per_batch=120, total_frames=-1
-        )
-        try:
-            next(iter(collector))
-            if states:
-                collector.load_state_dict(states[0])
-            states.append(collector.state_dict())
-        finally:
-            collector.shutdown()
-    for worker in ("worker0", "worker1"):
-        saved, found = (
-            state[worker]["env_state_dict"]["transforms.1._extra_state"]["_extra_state"]
-            for state in states
-        )
-        assert torch.equal(saved["generator"], found["generator"])
-        assert torch.equal(saved["dialogues"]["goal_id"], found["dialogues"]["goal_id"])
 
 
 def test_outside_of_an_environment_there_is_nothing_to_save():

@@ -1,7 +1,5 @@
 """The scripted policies: their actions in different situations."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """Dialogues whose users speak in sentences, with an exact nlu."""
 
-from __future__ import annotations
-
 import json
 from dataclasses import replace
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """A turn never waits for the device."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """The key ``env.users``: from the command line to the dialogues, and back from a saved state."""
 
-from __future__ import annotations
-
 import json
 
 from bbq_torchrl.cli.evaluate import main

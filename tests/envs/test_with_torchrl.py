@@ -1,57 +1,16 @@
 """The environment with TorchRL's collectors, vectorized environments and transforms."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import pytest
 import torch
-from torchrl.collectors import Collector
 from torchrl.envs import (
-    ActionMask,
-    Compose,
-    InitTracker,
     ParallelEnv,
-    RewardSum,
     SerialEnv,
-    StepCounter,
-    TransformedEnv,
     check_env_specs,
 )
 
-from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, UniformPolicy, scripted_policy
-
-
-def test_transforms_count_and_add_up(movie):
-    base = DialogueEnv(movie, batch_size=(16,), seed=0)
-    env = TransformedEnv(base, Compose(InitTracker(), StepCounter(), RewardSum(), ActionMask()))
-    check_env_specs(env)
-    rollout = env.rollout(30, break_when_any_done=False)
-    for part in (rollout, rollout["next"]):
-        assert torch.equal(part["step_count"], part["turns"])
-    assert torch.equal(rollout["is_init"], rollout["turns"] == 0)
-    ends = rollout["next"][rollout["next", "done"].squeeze(-1)]
-    assert len(ends) > 16
-    total = torch.where(ends["success"], 40.0, -10.0) - (ends["turns"] - 1)
-    assert torch.equal(ends["episode_reward"], total)
-
-
-def test_a_collector_gives_whole_dialogues_one_after_another(movie):
-    env = DialogueEnv(movie, batch_size=(10,), seed=0)
-    collector = Collector(
-        env,
-        scripted_policy("rule", env),
-        frames_per_batch=400,
-        total_frames=800,
-        auto_register_policy_transforms=False,
-    )
-    batches = list(collector)
-    collector.shutdown()
-    assert [batch.shape for batch in batches] == [(10, 40)] * 2
-    for batch in batches:
-        # The rule policy ends every dialogue with its eighth action.
-        assert torch.equal(batch["turns"].squeeze(-1), torch.arange(40).expand(10, -1) % 8)
-        assert torch.equal(batch["next", "done"], batch["next", "turns"] == 8)
+from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, UniformPolicy
 
 
 @pytest.mark.parametrize(

@@ -1,7 +1,5 @@
 """Makes the examples importable: scripts that find one another, and a package with options."""
 
-from __future__ import annotations
-
 import functools
 import re
 import runpy

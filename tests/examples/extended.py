@@ -1,7 +1,5 @@
 """The folder of the examples, and a training that takes no time."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[2]

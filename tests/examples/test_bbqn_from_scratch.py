@@ -1,7 +1,5 @@
 """BBQN in one file: its mathematics is the library's, and its loop does what the file says."""
 
-from __future__ import annotations
-
 import sys
 
 import pytest

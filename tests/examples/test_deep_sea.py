@@ -1,7 +1,5 @@
 """DeepSea beside a diver written in plain Python, one at a time."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from deep_sea_env import DeepSeaEnv

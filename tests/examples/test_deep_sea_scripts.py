@@ -1,7 +1,5 @@
 """DeepSea's scripts as a person types them, and what they make of results."""
 
-from __future__ import annotations
-
 import re
 import sys
 

@@ -1,7 +1,5 @@
 """Options of another package: they train, resume, evaluate, report and search like ours."""
 
-from __future__ import annotations
-
 import dataclasses
 import shutil
 

@@ -1,7 +1,5 @@
 """The parts of the example package: what its strategy, agents, reward and environment do."""
 
-from __future__ import annotations
-
 import doctest
 import importlib
 

@@ -1,7 +1,5 @@
 """The smaller examples run in their short form, and say and measure what they are there for."""
 
-from __future__ import annotations
-
 import re
 import sys
 

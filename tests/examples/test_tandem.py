@@ -1,7 +1,5 @@
 """The tandem example: the active agent does not notice, the passive one learns from its data."""
 
-from __future__ import annotations
-
 import copy
 import sys
 

@@ -1,7 +1,5 @@
 """Choices from uniform numbers in [0, 1)."""
 
-from __future__ import annotations
-
 import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any

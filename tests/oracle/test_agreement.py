@@ -1,7 +1,5 @@
 """The tensor simulator agrees with the oracle, turn by turn and number by number."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import replace
 from itertools import combinations

@@ -1,7 +1,5 @@
 """The oracle against dialogues worked out by hand."""
 
-from __future__ import annotations
-
 import pytest
 
 from bbq_torchrl.domains import Goal

@@ -1,7 +1,5 @@
 """Values as lower-case strings, three of them reserved."""
 
-from __future__ import annotations
-
 DONT_CARE = "i do not care"
 NO_MATCH = "no match"
 AVAILABLE = "ticket available"

@@ -1,7 +1,5 @@
 """The layout of the features."""
 
-from __future__ import annotations
-
 import pytest
 
 from bbq_torchrl.domains import tensorize

@@ -1,7 +1,5 @@
 """The bit-packed knowledge base against the oracle's, and its memory."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import torch

@@ -1,7 +1,5 @@
 """Measured errors: their frequencies are those counted."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """Mixes of users: their names and keys. The oracle's agreement shows what the keys do."""
 
-from __future__ import annotations
-
 import pytest
 
 from bbq_torchrl.domains import tensorize

@@ -1,7 +1,5 @@
 """Scripted policies against their success in the public simulator, on its corpus."""
 
-from __future__ import annotations
-
 import pytest
 
 from bbq_torchrl.domains import load_miulab

@@ -1,7 +1,5 @@
 """The simulator beyond the oracle: draws, batch shapes, compilation, settings."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """Readable transcripts of dialogues."""
 
-from __future__ import annotations
-
 import torch
 from oracle.small import CINEMA, SLOTS, draws, small_domain
 from tensordict import TensorDict

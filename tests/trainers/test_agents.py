@@ -1,7 +1,5 @@
 """Updates of all agents: they never wait for a device, and targets last for a freeze."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tiny import TINY

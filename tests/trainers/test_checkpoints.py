@@ -1,7 +1,5 @@
 """Checkpoints: only tensors and JSON are loaded, and damage falls back to the previous one."""
 
-from __future__ import annotations
-
 import json
 import os
 import shutil

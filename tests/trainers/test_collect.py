@@ -1,7 +1,5 @@
 """Dialogues played in lockstep, every one to its end; only real turns are counted."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from tensordict.nn import TensorDictModule

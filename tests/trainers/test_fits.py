@@ -1,7 +1,5 @@
 """Losses that learn from all stored transitions at once, with and without mini-batches."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 import trainer_parts

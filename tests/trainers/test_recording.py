@@ -1,7 +1,5 @@
 """A round's numbers: in memory, on disk, in TorchRL's loggers, and in a bar or the log."""
 
-from __future__ import annotations
-
 import importlib.util
 import logging
 import math

@@ -1,7 +1,5 @@
 """Replicas never change each other, to the bit: optimizer, sums, whole training runs."""
 
-from __future__ import annotations
-
 import copy
 from functools import partial
 

@@ -1,7 +1,5 @@
 """The round trainer on an environment of a few lines."""
 
-from __future__ import annotations
-
 import csv
 
 import pytest

@@ -1,7 +1,5 @@
 """Several losses trained together: the sum of their losses."""
 
-from __future__ import annotations
-
 from types import SimpleNamespace
 
 import pytest

@@ -1,7 +1,5 @@
 """The spike: the dialogues that fill the buffers before the first round, and their lifetime."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from trainer_parts import GuessEnv, make_trainer, random_policy
