@@ -6,33 +6,15 @@ import yaml
 from bbq_torchrl.runs.sweeps import table_of_runs
 from bbq_torchrl.utils.files import read_yaml
 
-FAULTS = {
-    "[" * 50_000: "it is not valid YAML: maximum recursion depth",
-    "a: [": "it is not valid YAML: expected the node content, but found '<stream end>' in line 1",
-    "a: *b": "it is not valid YAML: found undefined alias 'b' in line 1",
-    "a: \x00": "it is not valid YAML: ",
-}
-OF_VALUES = {
-    "a: 1\na: 2": "keys must be given once, got 'a' again in line 2",
-    '!!int ""': "it is not valid YAML",
-    "!!bool x": "it is not valid YAML",
-    "!!timestamp x": "it is not valid YAML",
-    "2001-99-99": "month must be in 1..12",
-    "!!python/object/apply:os.system [x]": "could not determine a constructor for the tag",
-    "9" * 5_000: "Exceeds the limit",
-}
+FAULTS = ["[" * 50_000, "a: [", "a: *b", "a: \x00", "a: 1\na: 2", '!!int ""', "!!bool x"]
+FAULTS += ["!!timestamp x", "2001-99-99", "!!python/object/apply:os.system [x]", "9" * 5_000]
 
 
-@pytest.mark.parametrize(("text", "says"), FAULTS.items(), ids=range(len(FAULTS)))
-def test_what_cannot_be_values_is_refused_at_once(text, says):
-    with pytest.raises(ValueError, match=says.replace("[", r"\[")):
+@pytest.mark.parametrize("text", FAULTS, ids=range(len(FAULTS)))
+def test_what_cannot_be_values_is_refused_in_a_sentence(text):
+    with pytest.raises(ValueError, match=r"valid YAML|month|limit") as error:
         read_yaml(text)
-
-
-@pytest.mark.parametrize(("text", "says"), OF_VALUES.items(), ids=range(len(OF_VALUES)))
-def test_values_that_cannot_be_made_are_refused_in_a_sentence(text, says):
-    with pytest.raises(ValueError, match=says):
-        read_yaml(text)
+    assert len(str(error.value)) < 300
 
 
 def test_aliases_that_save_some_lines_and_long_texts_are_read():

@@ -146,14 +146,6 @@ def test_the_mask_in_the_observation_is_that_in_info(restaurant):
     )
 
 
-def test_stable_baselines_counts_the_successes(restaurant):
-    sb3 = pytest.importorskip("stable_baselines3")
-    env = gymnasium.make(ENV_ID, domain=restaurant, max_turn=8)
-    agent = sb3.DQN("MlpPolicy", env, learning_starts=10_000, seed=0, device="cpu")
-    agent.learn(60)
-    assert len(agent.ep_success_buffer) == len(agent.ep_info_buffer) > 5
-
-
 def test_is_success_is_told_at_the_end_alone(restaurant):
     env = gymnasium.make(ENV_ID, domain=restaurant).unwrapped
     assert "is_success" not in env.reset(seed=0)[1]

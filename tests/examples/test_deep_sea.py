@@ -3,7 +3,7 @@
 import pytest
 import torch
 from deep_sea_env import DeepSeaEnv
-from torchrl.envs import RewardSum, SerialEnv, StepCounter, TransformedEnv, check_env_specs
+from torchrl.envs import check_env_specs
 
 
 class Diver:
@@ -80,13 +80,3 @@ def test_divers_move_earn_and_begin_again_as_plain_ones(size, batch_size):
             if begins:
                 diver.reset()
         assert_agree(td, divers)
-
-
-def test_torchrl_s_transforms_and_vectorized_environments_take_it():
-    env = TransformedEnv(DeepSeaEnv(4, (3,)), StepCounter()).append_transform(RewardSum())
-    check_env_specs(env)
-    rollout = env.rollout(4)
-    assert torch.equal(rollout["step_count"].squeeze(-1), torch.arange(4).expand(3, -1))
-    serial = SerialEnv(2, lambda: DeepSeaEnv(4, (3,)))
-    assert serial.rollout(12, break_when_any_done=False).shape == (2, 3, 12)
-    serial.close()

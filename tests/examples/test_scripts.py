@@ -42,17 +42,6 @@ def test_cartpole_is_played_without_anything_of_dialogue(tmp_path, name, frames,
     assert 1 <= float(line[1]) <= 500
 
 
-def test_cartpoles_dqn_explores_less_and_less(names_of):
-    pytest.importorskip("gymnasium")
-    example = names_of("cartpole_bbqn")
-    _, explore, _ = example["make_agent"]("dqn", example["make_env"](0), 400)
-    assert float(explore[-1].eps) == 1
-    explore[-1].step(50)
-    assert float(explore[-1].eps) == pytest.approx((1 + 0.05) / 2, rel=1e-4)  # summed up in float32
-    explore[-1].step(100)
-    assert float(explore[-1].eps) == pytest.approx(0.05)
-
-
 def test_cartpole_adds_a_row_for_every_training(names_of, tmp_path, monkeypatch):
     pytest.importorskip("gymnasium")
     example, file = names_of("cartpole_bbqn"), tmp_path / "cartpole.csv"

@@ -9,7 +9,6 @@ from unittest.mock import MagicMock, call
 
 import pytest
 import torch
-from trainer_parts import make_trainer
 
 from bbq_torchrl.options import LoggerOption, schemas
 from bbq_torchrl.settings import ConfigError
@@ -62,22 +61,6 @@ def test_columns_that_do_not_fit_are_refused_and_nothing_is_written(tmp_path, co
 
     assert metrics.path.read_text() == text
     assert metrics.rows == rows
-
-
-def test_tensorboard_reads_the_metrics_back(tmp_path):
-    pytest.importorskip("tensorboard")
-    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
-
-    (logger,) = LOGGERS["tensorboard"]().make(tmp_path)
-    rows = make_trainer(tmp_path, rounds=3, loggers=[logger]).train()
-    logger.experiment.close()
-
-    events = EventAccumulator(str(tmp_path / "tensorboard")).Reload()
-    for replica in range(3):
-        scalars = events.Scalars(f"reward/replica_{replica}")
-        assert [s.step for s in scalars] == [0, 1, 2]
-        expected = [row["reward"] for row in rows[replica::3]]
-        assert [s.value for s in scalars] == pytest.approx(expected, rel=1e-6)
 
 
 class OwnLogger(LoggerOption):
