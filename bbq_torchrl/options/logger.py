@@ -1,7 +1,8 @@
 """The options of ``logger=``: destinations of metrics besides metrics.csv.
 
 A logger receives the configuration, a row for each round and the final result. It is closed at the
-end of the run, also after an error; the next run in the process makes a new one.
+end of the run, also after an error; the next run in the process makes a new one. A logger that
+fails during the run is given up with one warning.
 
 A resumed run repeats the rounds since its last checkpoint and logs them again. TensorBoard shows
 such a round twice, W&B continues the same run, and MLflow starts a new run in the same experiment.
@@ -13,6 +14,10 @@ import importlib.util
 import os
 from abc import abstractmethod
 from dataclasses import dataclass
+from getpass import getuser
+from hashlib import md5
+from pathlib import Path
+from tempfile import gettempdir
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from bbq_torchrl.options.registry import Option, register
@@ -23,7 +28,6 @@ from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
-    from pathlib import Path
 
     from torchrl.record.loggers import Logger
 
@@ -79,16 +83,24 @@ class LoggerOption(Option):
         for logger in loggers:
             logger.close()
 
+    def reach(self) -> None:
+        """Reaches the server or database of the logger; any error refuses the run."""
+
     def check_ready(self) -> None:
-        """Refuses a logger that cannot be used on this machine, before anything runs.
+        """Refuses a logger that cannot be used here and now, before a folder exists.
 
         Raises:
-            ConfigError: the package is missing; the message has the command that installs it.
+            ConfigError: the package is missing, and the message has the command that installs it;
+                or :meth:`reach` failed.
         """
         if self.package and importlib.util.find_spec(self.package) is None:
             is_ours = type(self).__module__ == __name__
             command = install_command(self.package) if is_ours else f"pip install {self.package}"
             raise ConfigError(f"logger={self.name} needs the package {self.package}: {command}")
+        try:
+            self.reach()
+        except Exception as error:
+            raise ConfigError(f"logger={self.name} cannot be used: {sentence(error)}") from error
 
 
 @register
@@ -133,9 +145,15 @@ class WandB(LoggerOption):
     project: str = setting("bbq-torchrl", ANY_TEXT, "project of the run")
     package: ClassVar[str] = "wandb"
 
+    def reach(self) -> None:
+        """Logs in, unless W&B is offline or disabled."""
+        import wandb
+
+        if wandb.setup().settings.mode == "online":
+            wandb.login(verify=True)
+
     def make(self, run_folder: Path, *, resume: bool = False) -> list[Logger]:
         """Makes a logger that writes ``wandb/`` and the run's id, which a resumed run reuses."""
-        import wandb
         from torchrl.record.loggers.wandb import WandbLogger
 
         folder = run_folder.resolve()
@@ -146,16 +164,13 @@ class WandB(LoggerOption):
             if resume and run_id.is_file()
             else {}
         )
-        try:
-            logger = WandbLogger(
-                folder.name,
-                log_dir=str(folder),
-                project=self.project,
-                log_env_packages=False,  # it would use the key "env", which our configuration has
-                **same,
-            )
-        except wandb.Error as error:
-            raise ConfigError(f"logger=wandb cannot begin a run: {sentence(error)}") from error
+        logger = WandbLogger(
+            folder.name,
+            log_dir=str(folder),
+            project=self.project,
+            log_env_packages=False,  # it would use the key "env", which our configuration has
+            **same,
+        )
         write_text(run_id, str(logger.experiment.id))
         return [logger]
 
@@ -175,8 +190,11 @@ class WandB(LoggerOption):
 _ADDRESS = "MLFLOW_TRACKING_URI"
 """MLflow's variable for the address of a server or database; MLflow also sets it."""
 
-_POOL = "MLFLOW_SQLALCHEMYSTORE_POOLCLASS"
-"""MLflow's variable for the class that pools connections to a database."""
+_DEFAULTS = {
+    "MLFLOW_SQLALCHEMYSTORE_POOLCLASS": "NullPool",  # a pool leaves the database open after the run
+    "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "3",  # ten seconds; MLflow's 7 are four minutes
+}
+"""MLflow's variables -> our defaults."""
 
 
 @register
@@ -188,6 +206,24 @@ class MLFlow(LoggerOption):
     experiment: str = setting("bbq-torchrl", ANY_TEXT, "experiment of the run")
     package: ClassVar[str] = "mlflow"
 
+    def reach(self) -> None:
+        """Makes the experiment, and the tables of a new database, if an address is given.
+
+        One process at a time, as MLflow's migrations fail if two make the tables.
+        """
+        for name, value in _DEFAULTS.items():
+            os.environ.setdefault(name, value)
+        if not (address := os.environ.get(_ADDRESS)):
+            return
+        from filelock import FileLock
+        from mlflow import MlflowClient
+
+        place = md5(f"{getuser()} {address}".encode(), usedforsecurity=False).hexdigest()
+        with FileLock(Path(gettempdir()) / f"bbq_torchrl-mlflow-{place}.lock"):
+            client = MlflowClient(address)
+            if client.get_experiment_by_name(self.experiment) is None:
+                client.create_experiment(self.experiment)
+
     def make(self, run_folder: Path, *, resume: bool = False) -> list[Logger]:
         """Starts a run, in ``mlflow.db`` unless the environment has another address."""
         import mlflow
@@ -196,7 +232,6 @@ class MLFlow(LoggerOption):
         folder = run_folder.resolve()
         folder.mkdir(parents=True, exist_ok=True)
         given = os.environ.get(_ADDRESS)
-        os.environ.setdefault(_POOL, "NullPool")  # otherwise the database stays open after the run
         logger = MLFlowLogger(self.experiment, given or sqlite_url(folder / "mlflow.db"))
         if not given:
             os.environ.pop(_ADDRESS, None)  # set by MLflow; the next run has another database

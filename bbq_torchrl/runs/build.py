@@ -5,9 +5,9 @@ from __future__ import annotations
 import logging
 import os
 import subprocess
-from contextlib import contextmanager
+from contextlib import suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 
@@ -28,16 +28,15 @@ from bbq_torchrl.trainers import (
     rollouts,
 )
 from bbq_torchrl.utils.files import CHECKPOINTS, METRICS, RESULT
-from bbq_torchrl.utils.text import FaultsError, shown
+from bbq_torchrl.utils.text import FaultsError, sentence, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Mapping
 
     from tensordict import NestedKey
     from torch import Tensor
     from torchrl.envs import EnvBase
     from torchrl.modules import QValueActor
-    from torchrl.record.loggers import Logger
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config, EvaluateConfig
@@ -167,18 +166,58 @@ def find_spike_policy(config: Config, domain: Domain | None) -> str | None:
     )
 
 
-@contextmanager
-def opened_loggers(config: Config, run_folder: Path) -> Iterator[Sequence[Logger]]:
-    """Yields the loggers of a run, with its configuration logged, and closes them."""
-    option, finished = config.logger, False
-    loggers = tuple(option.make(run_folder, resume=config.resume is not None))
-    try:
-        flat = {key: value for key, _, value in walk(config) if key != "resume"}
-        option.log_config(loggers, flat)
-        yield loggers
-        finished = True
-    finally:
-        option.close(loggers, finished=finished)
+class Tracker:
+    """The loggers of a run, opened and closed by ``with``.
+
+    At their first error they are given up with a warning, since metrics.csv has everything.
+
+    Args:
+        config: the run's configuration, which is logged.
+        run_folder: the run folder.
+
+    Raises:
+        ConfigError: the loggers cannot be made.
+    """
+
+    def __init__(self, config: Config, run_folder: Path) -> None:
+        self._config, self._option, self._works = config, config.logger, True
+        try:
+            made = self._option.make(run_folder, resume=config.resume is not None)
+        except Exception as error:
+            raise ConfigError(f"logger={self._option.name} cannot begin: {error}") from error
+        self._loggers = tuple(made)
+
+    def __enter__(self) -> Tracker:
+        flat = {key: value for key, _, value in walk(self._config) if key != "resume"}
+        self._try(self._option.log_config, self._loggers, flat)
+        return self
+
+    def log_metrics(self, metrics: Mapping[str, float], step: int) -> None:
+        """Logs the metrics of a round."""
+        for logger in self._loggers:
+            self._try(logger.log_metrics, dict(metrics), step=step)
+
+    def log_result(self, result: Mapping[str, float], rounds: int) -> None:
+        """Logs the numbers of the final result."""
+        self._try(self._option.log_result, self._loggers, result, rounds=rounds)
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._works:
+            self._try(self._option.close, self._loggers, finished=kind is None)
+        else:
+            with suppress(Exception):
+                self._option.close(self._loggers, finished=False)
+
+    def _try(self, log: Callable[..., object], *given: Any, **more: Any) -> None:
+        try:
+            if self._works:
+                log(*given, **more)
+        except Exception as error:
+            self._works = False
+            _LOG.warning(
+                "logger=%s failed and is given up, %s has everything: %s",
+                *(self._option.name, METRICS, sentence(error)),
+            )
 
 
 def log_domain(config: Config, domain: Domain) -> None:

@@ -39,12 +39,11 @@ if TYPE_CHECKING:
     from tensordict.nn import TensorDictModuleBase
     from torchrl.envs import EnvBase
     from torchrl.modules import QValueActor
-    from torchrl.record.loggers import Logger
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.evaluation.groups import Group
     from bbq_torchrl.options import Config
-    from bbq_torchrl.runs.build import Checkout
+    from bbq_torchrl.runs.build import Checkout, Tracker
     from bbq_torchrl.trainers import EpisodeStats, RoundTrainer
     from bbq_torchrl.trainers.recording import MetricRow
 
@@ -208,12 +207,12 @@ def _versions() -> dict[str, str]:
     }
 
 
-def log_result(config: Config, folder: Path, result: RunResult, loggers: Sequence[Logger]) -> None:
+def log_result(config: Config, folder: Path, result: RunResult, tracker: Tracker) -> None:
     """Logs the final success next to that of scripted and privileged policies."""
     _LOG.info("%s", _result_line(config, result))
     _LOG.info("success rate %.4f; everything is in %s", result.success_rate, folder)
     numbers = {f"result/{name}": value for name, value in flat_numbers(result).items()}
-    config.logger.log_result(loggers, numbers, rounds=result.rounds)
+    tracker.log_result(numbers, result.rounds)
 
 
 def _result_line(config: Config, result: RunResult) -> str:

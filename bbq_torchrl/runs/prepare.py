@@ -15,7 +15,7 @@ from typing import Any
 
 from hydra.experimental.callback import Callback
 from hydra.utils import to_absolute_path
-from omegaconf import DictConfig, open_dict, read_write
+from omegaconf import DictConfig, OmegaConf, open_dict, read_write
 from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl.options import Config, validate
@@ -47,8 +47,10 @@ class Preparation(Callback):
         self._locks.close()
 
     def on_multirun_start(self, config: DictConfig, **_: Any) -> None:
-        """Makes the folder of a sweep; each job checks its configuration when it starts."""
+        """Makes the folder of a sweep and checks its logger; each job checks its configuration."""
         with output.refusals(), read_write(config), open_dict(config):
+            logger: Any = OmegaConf.to_object(config.logger)
+            logger.check_ready()
             folder = Path(config.hydra.sweep.dir).absolute()  # workers start in other folders
             if "hydra.sweep.dir" not in map(key_of, config.hydra.overrides.hydra):
                 folder = reserve(folder)

@@ -40,11 +40,11 @@ if TYPE_CHECKING:
     from torch import Tensor, nn
     from torchrl.envs import EnvBase, Transform
     from torchrl.modules import QValueActor
-    from torchrl.record.loggers import Logger
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.evaluation.run_result import RunResult
     from bbq_torchrl.options import Config
+    from bbq_torchrl.runs.build import Tracker
     from bbq_torchrl.trainers import ReplicaOptimizer, RoundTrainer
     from bbq_torchrl.trainers.round_trainer import RoundCallback
 
@@ -99,7 +99,7 @@ def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -
     """
     from bbq_torchrl.runs import build, folders
 
-    with folders.run_lock(folder), build.opened_loggers(config, folder) as loggers:
+    with folders.run_lock(folder), build.Tracker(config, folder) as tracker:
         code = build.checkout()  # at the start, since the code may change during the run
         build.set_up_process(config.threads)
         folders.save_config(dataclasses.replace(config, resume=None), folder / CONFIG)
@@ -107,7 +107,7 @@ def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -
         spike_policy = build.find_spike_policy(config, domain)
 
         trainer, agent = build_trainer(
-            config, folder, callbacks, domain=domain, spike_policy=spike_policy, loggers=loggers
+            config, folder, callbacks, domain=domain, spike_policy=spike_policy, tracker=tracker
         )
         # A run killed before its last file, the curve, has a result already.
         result = config.resume and folders.finished_result(folder, config.protocol.rounds)
@@ -126,7 +126,7 @@ def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -
         if config.protocol.keep_checkpoints == "weights":
             trainer.checkpoints.keep_only("loss", "best")
         final.draw_curve(config, folder, result, trainer, domain, spike_policy)  # the last file
-        final.log_result(config, folder, result, loggers)
+        final.log_result(config, folder, result, tracker)
     return result
 
 
@@ -149,12 +149,12 @@ def build_trainer(
     *,
     domain: Domain | None = None,
     spike_policy: str | None = None,
-    loggers: Sequence[Logger] = (),
+    tracker: Tracker | None = None,
 ) -> tuple[RoundTrainer, Agent]:
     """Makes the trainer of a run and its agent; callbacks are called after every round.
 
-    Domain and spike policy are loaded unless given. Without loggers (of
-    :func:`~bbq_torchrl.runs.build.opened_loggers`) metrics go to the run folder only.
+    Domain and spike policy are loaded unless given. Without a tracker metrics go to the run folder
+    only.
     """
     from torchrl.objectives import HardUpdate
 
@@ -203,7 +203,7 @@ def build_trainer(
         spike=spike.make(config.env.make_policy(spike_policy, env)) if spike_policy else None,
         evaluator=build.round_evaluator(config, domain, agent.actor),
         round_metrics={**agent.metrics, **build.values_as_metrics(config)},
-        loggers=loggers,
+        loggers=[tracker] if tracker else [],
         callbacks=callbacks,
         config_fingerprint=config_fingerprint(config),
     )

@@ -10,11 +10,10 @@ from collections.abc import Mapping, Sequence
 from io import StringIO
 from pathlib import Path
 from statistics import fmean
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from torch import Tensor
-from torchrl.record.loggers import Logger
 from tqdm import tqdm
 
 from bbq_torchrl.trainers.errors import TrainingError
@@ -22,6 +21,13 @@ from bbq_torchrl.utils.files import write_text
 
 MetricRow = dict[str, int | float]
 """The metrics of one round and replica."""
+
+
+class LogsMetrics(Protocol):
+    """A TorchRL logger, of which only this method is called."""
+
+    def log_metrics(self, metrics: dict[str, Any], step: int) -> object:
+        """Logs the metrics of a round by name."""
 
 
 class MetricsFile:
@@ -52,7 +58,7 @@ class MetricsFile:
         ['round,replica,success_rate,seconds', '0,0,0.5,3', '0,1,0.25,3']
     """
 
-    def __init__(self, path: Path, replicas: int, loggers: Sequence[Logger] = ()) -> None:
+    def __init__(self, path: Path, replicas: int, loggers: Sequence[LogsMetrics] = ()) -> None:
         self.path = path
         self.replicas = replicas
         self.loggers = tuple(loggers)

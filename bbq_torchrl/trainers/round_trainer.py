@@ -13,7 +13,6 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 from torchrl.envs import EnvBase
-from torchrl.record.loggers import Logger
 
 from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.protocols import (
@@ -33,7 +32,7 @@ from bbq_torchrl.trainers.errors import (
     TrainingError,
 )
 from bbq_torchrl.trainers.learn import Learner, seed_phase
-from bbq_torchrl.trainers.recording import MetricRow, MetricsFile, RoundProgress
+from bbq_torchrl.trainers.recording import LogsMetrics, MetricRow, MetricsFile, RoundProgress
 from bbq_torchrl.utils.files import CHECKPOINTS, METRICS
 from bbq_torchrl.utils.seeds import derive_seed
 
@@ -99,7 +98,7 @@ class RoundTrainer:
     spike: Spike | None = None
     evaluator: EvaluationHook | None = None
     round_metrics: Mapping[str, Callable[[], float | Tensor]] = field(default_factory=dict)
-    loggers: Sequence[Logger] = ()
+    loggers: Sequence[LogsMetrics] = ()
     callbacks: Sequence[RoundCallback] = ()
     config_fingerprint: Mapping[str, Any] = field(default_factory=dict)
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import reprlib
 import unicodedata
 from collections.abc import Sequence
@@ -67,11 +68,14 @@ def as_typed(value: object) -> str:
 def sentence(error: object) -> str:
     r"""Returns the message of an error: one line, or a line for each of several faults.
 
-    A very long line is shortened in the middle. An error of the operating system names its file.
+    A very long line is shortened in the middle, and the password of an address is hidden. An error
+    of the operating system names its file.
 
     Examples:
         >>> sentence("a value\nis  wrong")
         'a value is wrong'
+        >>> sentence("no answer from postgresql://me:secret@host/runs")
+        'no answer from postgresql://me:***@host/runs'
     """
     if isinstance(error, OSError) and error.strerror:
         return _one_line(
@@ -83,8 +87,11 @@ def sentence(error: object) -> str:
     return _one_line(str(error))
 
 
+_PASSWORD = re.compile(r"(\w://[^\s:/@]*):[^\s/@]+@")
+
+
 def _one_line(text: str) -> str:
-    return _cut(" ".join(text.split()), _LINE)
+    return _cut(_PASSWORD.sub(r"\1:***@", " ".join(text.split())), _LINE)
 
 
 def _container(value: object) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import importlib.util
 import json
 import os
+import shutil
 import struct
 from dataclasses import dataclass, field
 
@@ -16,9 +17,10 @@ from torchrl.record.loggers import Logger
 
 from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.options import LoggerOption, register
+from bbq_torchrl.options.logger import MLFlow
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import run
-from bbq_torchrl.settings import option
+from bbq_torchrl.settings import ConfigError, option
 from bbq_torchrl.trainers import TrainingError
 
 RUN = ["agent=dqn", *TINY, "replicas=2"]
@@ -152,6 +154,62 @@ def test_what_closes_a_logger_is_told_whether_the_run_has_finished(tmp_path, mon
     assert [made for (made,), _ in closed] == list(RECORDED.values())[-2:]
 
 
+def fail(*_, **__):
+    raise RuntimeError("no answer from http://me:secret@host")
+
+
+@pytest.mark.parametrize("fails", ["log_hparams", "log_metrics", "close"])
+def test_a_logger_that_fails_is_given_up_with_one_warning(fails, tmp_path, monkeypatch, caplog):
+    with own_options():
+        register(Own)
+        monkeypatch.setattr(Recorder, fails, fail)
+        run(compose([*RUN, "logger=own"]), tmp_path / "run")
+    assert len(rows(tmp_path / "run" / "metrics.csv")) == 4
+    assert read_result(tmp_path / "run").rounds == 2
+    (warning,) = [line for line in caplog.messages if "logger=own" in line]
+    assert "http://me:***@host" in warning
+
+
+def test_a_logger_that_cannot_begin_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setattr(Recorder, "_create_experiment", fail)
+    with own_options():
+        register(Own)
+        config = compose([*RUN, "logger=own"])
+        with pytest.raises(ConfigError, match="logger=own"):
+            run(config, tmp_path / "run")
+
+
+def needs(package):
+    if importlib.util.find_spec(package) is None:
+        pytest.skip(f"needs the extra {package}: pip install -e '.[{package}]'")
+
+
+def removed(place):
+    shutil.rmtree(place) if place.is_dir() else place.unlink()
+
+
+@pytest.mark.parametrize(
+    ("name", "file"),
+    [
+        ("tensorboard", "tensorboard"),
+        pytest.param("mlflow", "mlflow.db", marks=pytest.mark.slow),
+    ],
+)
+@pytest.mark.filterwarnings("ignore")
+def test_a_run_ends_without_what_its_logger_wrote(name, file, tmp_path, monkeypatch, caplog):
+    needs(name)
+    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
+    config = compose([*RUN, f"logger={name}", "protocol.rounds=4"])
+
+    def remove(trainer, rows):
+        if trainer.rounds_done == 1:
+            removed(tmp_path / "run" / file)
+
+    run(config, tmp_path / "run", [remove])
+    assert read_result(tmp_path / "run").rounds == 4
+    assert sum(f"logger={name}" in line for line in caplog.messages) == 1
+
+
 # ------------------------------------------------------------------ the real packages
 
 
@@ -215,9 +273,54 @@ def of_mlflow(folder):
     return logged
 
 
-def needs(package):
-    if importlib.util.find_spec(package) is None:
-        pytest.skip(f"needs the extra {package}: pip install -e '.[{package}]'")
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+@pytest.mark.parametrize(
+    ("name", "address", "way"),
+    [
+        ("mlflow", {"MLFLOW_TRACKING_URI": "http://me:secret@127.0.0.1:9"}, []),
+        ("mlflow", {"MLFLOW_TRACKING_URI": "./mlruns"}, ["--multirun", "seed=1,2"]),
+        ("mlflow", {"MLFLOW_TRACKING_URI": "mysql+nodriver://me:secret@127.0.0.1/runs"}, []),
+        ("wandb", {"WANDB_MODE": "online"}, []),
+    ],
+)
+def test_a_logger_that_cannot_be_reached_is_refused_before_a_folder_is_there(
+    name, address, way, tmp_path, monkeypatch
+):
+    needs(name)
+    for key in ("MLFLOW_TRACKING_URI", "WANDB_API_KEY", "WANDB_MODE"):
+        monkeypatch.delenv(key, raising=False)
+    for key, value in {"HOME": str(tmp_path), "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0"}.items():
+        monkeypatch.setenv(key, value)
+    for key, value in address.items():
+        monkeypatch.setenv(key, value)
+    _, error = forked.python(
+        *(forked.ROOT / "train.py", *way, *RUN, f"logger={name}"), cwd=tmp_path, code=2
+    )
+    assert error.splitlines()[-1].startswith(f"error: logger={name} cannot be used: ")
+    assert "Traceback" not in error
+    assert "secret" not in error
+    assert not (tmp_path / "runs").exists()
+
+
+@pytest.mark.slow
+@pytest.mark.filterwarnings("ignore")
+def test_processes_that_start_together_share_a_new_database(tmp_path, monkeypatch):
+    needs("mlflow")
+    import mlflow  # once, not in every child
+
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{tmp_path}/shared.db")
+
+    def begin():
+        chosen = MLFlow()
+        chosen.check_ready()
+        chosen.close(chosen.make(tmp_path), finished=True)
+
+    with (tmp_path / "log").open("w") as log:
+        children = [forked.start(begin, (), tmp_path, log, log) for _ in range(4)]
+        codes = [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children]
+    assert codes == [0] * 4, (tmp_path / "log").read_text()
+    assert len(mlflow.search_runs(search_all_experiments=True)) == 4
 
 
 def sweep(name, folder):
