@@ -32,6 +32,7 @@ consent: |
   In this study you talk with a computer that books movie tickets, and rate it.
 
   What you type is stored without your name. You may stop at any time.
+contact: study@lab.example
 agents: {{bbqn: "{AGENT}"}}
 pairs: []
 participants: 2

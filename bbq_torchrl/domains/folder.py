@@ -188,6 +188,19 @@ def shipped_domain(name: str) -> Domain:
     return load_domain(SHIPPED[name])
 
 
+def named_domain(name: str, within: str | Path = "") -> Domain:
+    """Returns the shipped domain of a name, otherwise the domain in a folder.
+
+    Args:
+        name: one of :data:`SHIPPED`, or a folder.
+        within: the folder that a relative folder is in. Defaults to the current one.
+
+    Raises:
+        FileNotFoundError or FaultsError: as :func:`load_domain`.
+    """
+    return shipped_domain(name) if name in SHIPPED else load_domain(Path(within, expanduser(name)))
+
+
 def movie_domain() -> Domain:
     """Returns the movie-booking domain that comes with the package.
 

@@ -10,15 +10,13 @@ if __name__ == "__main__":  # before anything that takes time to import
 import json
 import sys
 import time
-from os.path import expanduser
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
 import torch
 
-from bbq_torchrl.domains import load_domain
-from bbq_torchrl.domains.folder import MOVIE_FOLDER
+from bbq_torchrl.domains.folder import SHIPPED, named_domain
 from bbq_torchrl.people.language.corpus import play
 from bbq_torchrl.people.language.generator import Generator
 from bbq_torchrl.people.language.measure import (
@@ -40,6 +38,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
 
 _ROUND_TRIPS = 3_000  # turns
+_DOMAIN = f"{', '.join(SHIPPED)}, or a domain's folder"
 
 
 @output.refusing
@@ -52,7 +51,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         ("measure", "train an understander and measure it on labeled sentences"),
     ):
         command = commands.add_parser(name, help=help_)
-        command.add_argument("--domain", type=Path, default=MOVIE_FOLDER, help="a domain's folder")
+        command.add_argument("--domain", default="movie", help=_DOMAIN)
         command.add_argument(
             "--sentences", type=int, default=SENTENCES, help="of people to learn from"
         )
@@ -66,14 +65,14 @@ def main(arguments: Sequence[str] | None = None) -> int:
     count = commands.add_parser(
         "count", help="count what is misheard of simulated users, for env.errors=measured"
     )
-    count.add_argument("--domain", type=Path, default=MOVIE_FOLDER, help="a domain's folder")
+    count.add_argument("--domain", default="movie", help=_DOMAIN)
     count.add_argument("--turns", type=int, default=100_000, help="of users, at least")
     count.add_argument("--seed", type=int, default=0)
     count.add_argument(
         "--trained", nargs="+", default=[], help="run folders or shipped:<name>, to play half of it"
     )
     given = parser.parse_args(arguments)
-    domain = load_domain(given.domain)
+    domain = named_domain(given.domain)
     if given.command == "count":
         _count(given, domain)
         return 0
@@ -122,7 +121,8 @@ def _count(given: argparse.Namespace, domain: Domain) -> None:
     torch.set_num_threads(1)
     trained = {name: _agent(name, domain) for name in given.trained}
     counts = count_errors(domain, given.turns, seed=given.seed, trained=trained)
-    file = save_errors(Path(expanduser(given.domain)), counts)
+    assert domain.folder is not None
+    file = save_errors(domain.folder, counts)
     output.write(f"{counts['turns']} turns counted: {file}\n")
 
 

@@ -21,7 +21,7 @@ SCALES = ("overall", "naturalness", "coherence", "completion")
 LOWEST, HIGHEST = 1, 5
 """The lowest and the highest rating."""
 
-_VERSION = 3
+_VERSION = 4
 _SCHEMA = """
 CREATE TABLE study (
     id INTEGER PRIMARY KEY CHECK (id = 1),

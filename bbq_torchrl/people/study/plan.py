@@ -8,7 +8,7 @@ from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.domains import load_domain, movie_domain
+from bbq_torchrl.domains.folder import SHIPPED, named_domain
 from bbq_torchrl.people.dialogue.judge import Judge
 from bbq_torchrl.people.study.address import ADDRESS
 from bbq_torchrl.settings import (
@@ -32,12 +32,11 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
 
-_MOVIE = "movie"
 _ATTAINABLE = "attainable"
 _QUOTED = "both text (yes, no, numbers and dates in quotes)"  # YAML reads others as something else
 
 _RECRUITING = ("join_parameters", "completion_code", "completion_url")
-MAY_CHANGE = ("participants", "url", *_RECRUITING)
+MAY_CHANGE = ("participants", "contact", "url", *_RECRUITING)
 """Keys that may change after the first participant joins; the others are fixed by then."""
 
 
@@ -84,12 +83,13 @@ class Terms:
 
     name: str = setting(REQUIRED, WORDS, "heading of every page")
     consent: str = setting(REQUIRED, WORDS, "the text participants agree to, in paragraphs")
+    contact: str = setting(REQUIRED, WORDS, "whom participants ask, such as a mail address")
     agents: Mapping[str, str] = setting(REQUIRED, _AGENTS, "name to source, for the talker")
     pairs: Sequence[Sequence[str]] = setting(
         REQUIRED, _PAIRS, "the comparisons to test; the first is expected to be better"
     )
     participants: int = setting(REQUIRED, integers(1, 10_000), "target number of participants")
-    domain: str = setting(_MOVIE, WORDS, "movie, or a domain's folder")
+    domain: str = setting("movie", WORDS, "a shipped domain, or a domain's folder")
     sessions: int = setting(
         None,
         optional(integers(1, 100), "one with each agent"),
@@ -167,10 +167,9 @@ def load_study(path: str | Path) -> Study:
         raise StudyError(str(file), list(found.values()))
     terms = Terms(**content)
     try:
-        is_movie = terms.domain == _MOVIE
-        domain = movie_domain() if is_movie else load_domain(file.parent / expanduser(terms.domain))
+        domain = named_domain(terms.domain, file.parent)
     except (FileNotFoundError, ValueError) as error:
-        text = f"domain must be {_MOVIE} or a domain's folder: {sentence(error)}"
+        text = f"domain must be {', '.join(SHIPPED)}, or a domain's folder: {sentence(error)}"
         raise StudyError(str(file), [text]) from error
     judge, goals = Judge(domain), enumerate(domain.goals, start=1)
     attainable = [number for number, goal in goals if judge.is_attainable(goal)]

@@ -63,8 +63,7 @@ HEADERS = {
     ),
     "x-content-type-options": "nosniff",
     "x-frame-options": "DENY",
-    # The links are secret; with "no-referrer", browsers would post from the origin "null".
-    "referrer-policy": "same-origin",
+    "referrer-policy": "no-referrer",  # the links are secret
     "cross-origin-opener-policy": "same-origin",
     "cache-control": "no-store",
 }
@@ -158,7 +157,8 @@ class _Pages:
             return site not in ("same-origin", "none")
         origin, host = request.headers.get("origin"), request.headers.get("host")
         own = {self._address.origin, f"http://{host}", f"https://{host}"} - {""}
-        if origin is None or origin in own:
+        # "null" is a page of ours in a browser that says no site, as over HTTP in a laboratory.
+        if origin in (None, "null") or origin in own:
             return False
         _log.warning(
             "a form from %s was refused, since this server is called %s; if people reach the "

@@ -25,6 +25,7 @@ consent: |
   We study assistants.
 
   What you write is stored.
+contact: ann@lab.example
 agents: {secret-bbqn: runs/vault-bbqn, secret-dqn: runs/vault-dqn}
 pairs: [[secret-bbqn, secret-dqn]]
 participants: 5

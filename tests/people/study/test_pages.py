@@ -167,12 +167,11 @@ def test_who_consents_is_enrolled_once(site):
     assert site.store.progress()[0]["enrolled"] == 1
 
 
-@pytest.mark.parametrize("retention", ["", "until the end of 2027"])
-def test_the_consent_page_tells_for_how_long_data_are_kept(study, retention):
-    with published(study, retention=retention) as site:
+def test_the_consent_page_tells_whom_to_ask_and_for_how_long_data_are_kept(study):
+    with published(study, retention="until the end of 2027") as site:
         page = site.client.get(site.join).text
-    assert ("They are kept until the end of 2027." in page) == bool(retention)
-    assert ("know how long they are kept" in page) == (not retention)
+    assert "We keep it until the end of 2027." in page
+    assert "Write to ann@lab.example." in page
 
 
 def test_the_researcher_sees_progress_and_beliefs_turn_by_turn(site):

@@ -9,6 +9,7 @@ from bbq_torchrl.people.study import StudyError, load_study
 GOOD = {
     "name": "Tickets",
     "consent": "You agree.",
+    "contact": "ann@lab.example",
     "agents": "{one: runs/1, two: runs/2}",
     "pairs": "[[one, two]]",
     "participants": "12",
@@ -38,6 +39,7 @@ def test_a_short_file_is_enough(write, restaurant):
     assert study.terms.sessions == 2
     assert study.terms.pairs == [["one", "two"]]
     assert study.domain.name == restaurant.name
+    assert load_study(write(domain="hotel")).domain.name == "hotel"
     assert set(study.terms.goals) <= set(range(1, len(restaurant.goals) + 1))
     assert study.data.name == "study.sqlite"
     assert study.terms.ask_below == {"one": 1, "two": 0.9}
@@ -46,7 +48,7 @@ def test_a_short_file_is_enough(write, restaurant):
 @pytest.mark.parametrize(
     ("key", "value"),
     [
-        *(("name", "''"), ("consent", None), ("color", "red"), ("participants", "true")),
+        *(("name", "''"), ("contact", None), ("color", "red"), ("participants", "true")),
         *(("agents", value) for value in ("{}", "{one: 7}", "{yes: a, two: b}", "{2026-01-31: a}")),
         *(("pairs", value) for value in ("[[yes, 1]]", "[[one, one]]", "[one]", "one")),
         ("pairs", "[[one, three]]"),

@@ -22,6 +22,7 @@ from bbq_torchrl.simulator import Simulator
 STUDY = """
 name: Tickets
 consent: We study assistants.
+contact: ann@lab.example
 agents: {bbqn: bbqn, dqn: dqn, public: "shipped:bbqn_map"}
 pairs: [[bbqn, dqn]]
 participants: 1

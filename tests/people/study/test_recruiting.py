@@ -103,7 +103,7 @@ def test_ids_of_panels_and_labs_are_taken(recruiting, value):
 def test_code_and_link_come_at_the_end_and_no_sooner(recruiting):
     site = recruiting
     pages = [site.client.get(f"{site.join}?PROLIFIC_PID={ID}")]
-    assert "with it PROLIFIC_PID, STUDY_ID of the link that brought you here" in pages[0].text
+    assert "invitation knows you (PROLIFIC_PID, STUDY_ID)" in pages[0].text
     pages.append(join(site, f"PROLIFIC_PID={ID}"))
     link = pages[-1].url.path
     pages += [site.say(link, "bye"), site.take(link, "rate", **RATED), site.say(link, "bye")]

@@ -119,7 +119,7 @@ def test_every_answer_has_the_security_headers_and_nothing_inline_or_of_other_ho
         assert policy.startswith("default-src 'none'")
         assert "unsafe" not in policy
         assert answer.headers["x-content-type-options"] == "nosniff"
-        assert answer.headers["referrer-policy"] == "same-origin"
+        assert answer.headers["referrer-policy"] == "no-referrer"
         assert "set-cookie" not in answer.headers
         for text in ("<style", " style=", "<script>", " onclick", "http://", "https://"):
             assert text not in answer.text

@@ -6,13 +6,16 @@ for (const form of document.forms) {
     form.dataset.sent = "yes";
   });
 }
-// A goal card that somebody closed stays so in the pages of the same conversation.
+// A goal card that somebody opened or closed stays so in the pages of the same conversation. On a
+// large screen it is open until then.
 const card = document.querySelector("details.card");
 if (card) {
-  const number = card.dataset.conversation;
+  const key = `card ${card.dataset.conversation}`;
   try {
-    if (sessionStorage.getItem("closed") === number) card.open = false;
-    card.addEventListener("toggle", () => sessionStorage.setItem("closed", card.open ? "" : number));
+    const chosen = sessionStorage.getItem(key);
+    card.open = chosen ? chosen === "open" : card.open || innerHeight > 800;
+    card.querySelector("summary").addEventListener("click", () =>
+      sessionStorage.setItem(key, card.open ? "closed" : "open"));
   } catch {} // a browser that stores nothing
 }
 // A page that the back button brings out of the cache can send again.
