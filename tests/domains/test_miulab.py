@@ -1,6 +1,5 @@
 """The reader of the public corpus, on a corpus of two records: its format, and refusals."""
 
-import collections
 import datetime
 import pickle
 import re
@@ -109,16 +108,12 @@ def pickled(content):
 
 DAMAGED = {
     "a date": (pickled(datetime.date(2018, 2, 2)), "datetime"),
-    "a class of dicts": (pickled(collections.OrderedDict()), "OrderedDict"),
-    "a set": (pickled({1, 2}), "set"),
     "a function": (pickled(len), "len"),
-    "a class of ours": (pickled(Goal), "Goal"),
     "an outside object": (b"Psecret\n.", "secret"),
     "nothing": (b"", ""),
     "a text": (b"moviename,city\n", ""),
     "a part": (pickle.dumps([GOAL], 0)[:-9], ""),
     "something after it": (pickle.dumps([GOAL], 0) + b"x", "1 bytes"),
-    "an empty stack": (b".", ""),
     "no UTF-8": (b"S'\\xff'\n.", ""),
     "a huge text": (b"\x80\x04\x8e" + b"\xff" * 7 + b"\x0f", "MemoryError"),
     "a huge frame": (b"\x80\x04\x95\xff\xff\xff\xff\xff\xff\xff\x7f.", ""),
@@ -137,21 +132,17 @@ WRONG = {
     "goal a list": ("goals", [[]], ["goal 0", "[]"]),
     "goal key more": ("goals", [GOAL | {"mood": "good"}], ["goal 0", "mood"]),
     "unknown act": ("goals", [GOAL | {"diaact": "shrug"}], ["goal 0", "diaact", "'shrug'"]),
-    "other act": ("goals", [GOAL | {"diaact": "inform"}], ["diaact", "'request'", "'inform'"]),
     "request answered": (
         "goals",
         [GOAL | {"request_slots": {"city": "x"}}],
         ["goal 0", "request_slots", "city", "'UNK'", "'x'"],
     ),
     "value a number": ("goals", [GOAL | {"inform_slots": {"city": 3}}], ["inform_slots", "3"]),
-    "slot a number": ("goals", [GOAL | {"inform_slots": {3: "x"}}], ["inform_slots", "3"]),
     "kb a list": ("kb", [{}], ["[{}]"]),
-    "kb by name": ("kb", {"0": {}}, ["'0'"]),
     "kb by truth": ("kb", {True: {}}, ["True"]),
     "kb empty": ("kb", {}, ["records"]),
     "row value": ("kb", {0: {"city": ["x"]}}, ["row 0", "city"]),
     "values a list": ("values", [], ["[]"]),
-    "values by number": ("values", {3: ["x"]}, ["3"]),
     "values a text": ("values", {"city": "x"}, ["city", "'x'"]),
     "value no text": ("values", {"city": ["seattle", 3]}, ["city", "3"]),
     "no values": ("values", {}, ["{}"]),

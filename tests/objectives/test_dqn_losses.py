@@ -1,7 +1,8 @@
-"""DropoutDQNLoss against TorchRL's DQNLoss, and NoisyDQNLoss against its definition."""
+"""DropoutDQNLoss against TorchRL's DQNLoss, NoisyDQNLoss and the TD loss by definition."""
 
 from contextlib import nullcontext
 from copy import deepcopy
+from typing import get_args
 
 import pytest
 import torch
@@ -20,12 +21,13 @@ from q_transitions import (
 )
 from tensordict import TensorDict
 from torch import nn
-from torch.func import functional_call
+from torch.func import functional_call, grad
 from torchrl.data import Categorical
 from torchrl.objectives import DQNLoss, HardUpdate
 
 from bbq_torchrl.networks import FlatMLP, q_actor
 from bbq_torchrl.objectives import DropoutDQNLoss, NoisyDQNLoss
+from bbq_torchrl.objectives.td_loss import Distance, td_loss
 
 
 def torchrl_loss_like(ours, element=0, **settings):
@@ -182,3 +184,33 @@ def test_noisy_losses_are_those_of_the_definition(replicas, double_dqn, kind, mo
     expected = (y - values.gather(-1, td["action"].unsqueeze(-1))).square().mean((-2, -1))
     torch.testing.assert_close(out["loss_value"], expected.detach())
     assert_learns(loss, out, expected)
+
+
+def batch():
+    """Actions, targets and weights of rows of two replicas; one row has no weight."""
+    index, weight = torch.randint(4, (2, 6, 1)), torch.rand(2, 6, 1, dtype=torch.double)
+    target = 3 * torch.randn(2, 6, 1, dtype=torch.double)
+    weight[:, 1], target[:, 1] = 0, torch.nan
+    return index, target, weight
+
+
+@pytest.mark.parametrize("weighted", [False, True])
+@pytest.mark.parametrize("distance", get_args(Distance))
+def test_gradients_are_autograds_and_none_for_targets_and_what_is_reported(distance, weighted):
+    index, target, weight = batch()
+    if not weighted:
+        target, weight = target.nan_to_num(), None
+    scale = torch.tensor([0.5, 3.0], dtype=torch.double)
+    values = torch.randn(2, 6, 4).double().requires_grad_()
+
+    def outputs(values, target):
+        loss, *reported = td_loss(values, index, target, weight, distance, scale)
+        return loss.sum(), sum(out.sum() for out in reported)
+
+    (by_autograd,) = torch.autograd.grad(outputs(values, target)[0], values)
+    given = values.detach()
+    slope, reported = grad(outputs, has_aux=True)(given, target)
+    torch.testing.assert_close(slope, by_autograd)
+    torch.testing.assert_close(reported, outputs(given, target)[1])
+    assert not grad(lambda target: outputs(given, target)[0])(target).any()
+    assert not grad(lambda values: outputs(values, target)[1])(given).any()

@@ -1,10 +1,10 @@
-"""The simulator beyond the oracle: draws, batch shapes, compilation, settings."""
+"""The simulator beyond the oracle: features, draws, batch shapes, compilation, settings."""
 
 import pytest
 import torch
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.simulator import ErrorModel, Rewards, Simulator
+from bbq_torchrl.simulator import ErrorModel, FeatureLayout, Rewards, Simulator
 from bbq_torchrl.simulator.choices import index_below, pick_slot
 
 NAN = float("nan")
@@ -102,3 +102,26 @@ def test_a_dialogue_has_as_many_turns_as_acts_for_both_and_one_too_many(restaura
 def test_settings_out_of_range_are_refused(restaurant, make, message):
     with pytest.raises(ValueError, match=message):
         make(tensorize(restaurant))
+
+
+@pytest.fixture
+def layout(movie):
+    return FeatureLayout(tensorize(movie))
+
+
+def test_the_layout_of_the_movies_has_the_papers_268_features(layout):
+    of_slots = ("user_informed", "user_requested", "agent_informed", "agent_requested", "filled")
+    widths = {"user_act": 11, "agent_act": 11, **dict.fromkeys(of_slots, 29)}
+    widths |= {"turn": 1, "turn_onehot": 40, "kb_match": 30, "kb_count": 30}
+    assert {name: layout[name].stop - layout[name].start for name in layout} == widths
+    assert layout.size == len({*layout.names}) == 268
+    members = [(group, member) for group, names in layout.groups.items() for member in names]
+    assert [layout.column(*member) for member in members] == list(range(268))
+    assert layout.names == tuple(":".join(member) for member in members)
+
+
+def test_an_unknown_feature_is_refused(layout):
+    with pytest.raises(KeyError, match="user"):
+        layout["user"]
+    with pytest.raises(KeyError, match="filled:cinema"):
+        layout.column("filled", "cinema")
