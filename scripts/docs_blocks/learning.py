@@ -50,6 +50,19 @@ def _imitation() -> str:
     return table(("dialogues imitated", "success", "seeds"), rows)
 
 
+@block("results.width")
+def _width() -> str:
+    """Returns how wide the posteriors are where an agent has acted often, rarely, and never."""
+    agents = {"bbqn": "BBQN", "gp": "Gaussian process"}
+    return pivot(
+        "median std of Q over draws; the action was taken",
+        {
+            (agents[row["agent"]], row["visited"]): f"{float(row['std']):.2f}"
+            for row in read_csv("width.csv")
+        },
+    )
+
+
 @block("learning.tried", "tried.csv", "success_rate", "final")
 @block("learning.early", "tried_early.csv", "evaluation_20", "after 20 rounds")
 @block("learning.targets", "tried_targets.csv", "late_success", "rounds 26 to 30")
