@@ -126,7 +126,7 @@ class Person:
             is_request = answer is not None and answer.answered.act == "request"
             is_due = (
                 at == self._turn
-                or (at == "request" and is_request and not answer.memory.checked)  # type: ignore[union-attr]
+                or (at == "request" and is_request)
                 or (at == "answer" and bool(self._answers))
             )
             if not is_due or (answer is not None and self._is_offer(answer) and at != "answer"):
@@ -162,7 +162,7 @@ class Person:
 
     def _reply(self, answer: Answer) -> Said:
         self.hears(answer)
-        if answer.memory.checked or answer.answered.act == "not_sure":
+        if answer.answered.act == "not_sure":
             said = self._to_check(answer)
         elif self._is_offer(answer):
             said = self._to_offer(answer)
@@ -185,8 +185,6 @@ class Person:
     def _to_check(self, answer: Answer) -> Said:
         """Answers "..., is that right?" and "say it another way"."""
         wishes = dict(answer.answered.informs)
-        if answer.memory.checked:
-            wishes = {answer.memory.checked: self._held[answer.memory.checked]}
         if not wishes:
             return self._again()
         wrong = [

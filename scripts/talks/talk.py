@@ -106,7 +106,7 @@ class Talk:
             self._news = turn
         self._count_question(turn, said, now)
         is_offered = before is not None and complete in before.answered.informs
-        if said.act == "yes" and is_offered and not (before and before.memory.checked):
+        if said.act == "yes" and is_offered:
             count["yes"] += 1
             count["yes_ends"] += now.ended == "agent"
         for slot, value in said.never.items():
@@ -126,8 +126,8 @@ class Talk:
         act = now.answered
         if not (act.requests or act.act == "not_sure"):
             return
-        slots = [now.memory.checked] if now.memory.checked else [*act.requests, *act.informs]
-        key = f"{'check' if now.memory.checked else act.act} {' '.join(slots)}"
+        slots = [*act.requests, *act.informs]
+        key = f"{act.act} {' '.join(slots)}"
         since = self._asked.get(key)
         self._asked[key] = turn
         self.counts["asked"] += 1

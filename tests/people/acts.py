@@ -41,7 +41,10 @@ class Acts:
             return Understood(Frame("inform", {"numberofpeople": "2"}), 0.9, (unclear,))
         if text == "the first":
             return Understood(Frame("inform", {question.requests[0]: question.choices[0]}), 0.9)
-        return Understood(Frame.parse(text), 0.99)
+        try:
+            return Understood(Frame.parse(text), 0.99)
+        except ValueError:  # a clause of an act
+            return Understood(Frame("inform"), 0.2)
 
     def asks(self, understood):
         return understood.confidence < 0.7 or bool(understood.unclear)

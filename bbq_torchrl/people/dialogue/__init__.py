@@ -16,18 +16,21 @@ if TYPE_CHECKING:
 
 
 RULES = {
-    "yes_ends": "A yes to an offer that stands ends the dialogue, and nothing else does.",
+    "yes_ends": "A yes that says nothing else to an offer that stands ends the dialogue.",
     "answers_first": "A question is answered before anything else.",
-    "no_asking_back": "The agent does not ask for what it has said, or what the person asks for, "
-    "has just said, has said twice, or does not care about.",
-    "news": "The agent says only what is not known yet, and says something.",
+    "no_asking_back": "The agent does not ask for what is known, asked for, or does not matter.",
+    "implied": "The agent does not ask for what another value determines, as a city its state.",
+    "news": "The agent tells only what the person asks for, and says something.",
     "no_repeat": "No act is repeated unchanged.",
     "take_back": "An answer that does not fit what the person says later is taken back.",
+    "on_file": "A wish for what the fitting records do not say excludes nothing.",
+    "way_out": "If no record has all wishes, or others are asked for, the nearest are offered.",
+    "drop": "A wish that the person takes back is dropped, and the agent says so.",
     "confirm": "A sentence understood badly is checked, and its content kept.",
     "book": '"Book it" makes the agent offer, and after an offer it is a yes.',
     "names": "A name that no record has is asked about.",
     "farewell": "Only words of farewell let a person end the conversation.",
-    "check": 'A known value is checked ("5:50 pm, is that right?"), not asked for.',
+    "help": "Questions about the agent itself are answered.",
     "aside": "A question in place of an answer is read by itself.",
 }
 """The rules of :mod:`~bbq_torchrl.people.dialogue.control`, in the order in which they apply."""

@@ -13,9 +13,10 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, NONE
+from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, FIRST_VALUE, NO_MATCH, NONE
 from bbq_torchrl.people.dialogue import RULES
-from bbq_torchrl.simulator.choices import one_hot, pack, popcount
+from bbq_torchrl.people.dialogue.records import Records
+from bbq_torchrl.simulator.choices import one_hot
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable
@@ -34,6 +35,7 @@ class Control:
 
     Attributes:
         rules: the names, in the order in which they apply.
+        records: the domain's records.
 
     Raises:
         ValueError: a name is unknown.
@@ -46,9 +48,7 @@ class Control:
                 raise ValueError(f"a rule must be one of {', '.join(RULES)}, got {name!r}")
         self.rules = tuple(name for name in RULES if name in names)
         domain = simulator.domain
-        self._tracker, self._knowledge_base = simulator.tracker, simulator.knowledge_base
-        self._having_sets = pack((domain.records != NONE).T)
-        self._n_records = len(domain.records)
+        self._tracker, self.records = simulator.tracker, Records(domain)
         self._acts, self._complete = domain.act, domain.complete
         self._act, self._slot = domain.action_act, domain.action_slot.clamp(min=0)
         has_slot = domain.action_slot >= 0
@@ -87,34 +87,46 @@ class Control:
         return legal, left_out
 
     def remember(self, state: TensorDictBase) -> TensorDictBase:
-        """Returns the state after a person's act, without the values that the agent takes back.
+        """Returns the state after a person's act, with only the values that records can meet.
 
-        A value that the agent told is dropped if no record has both it and what the person tells or
-        asks for next. The agent tells it again as if the person had just asked for it. A "no match"
-        is always dropped. The state gets the key ``wished``, long ``[*B, S]``: the number of times
-        the person has told each slot.
+        Values that the agent told are dropped if without them a record is nearer to what the person
+        tells or asks for. The agent tells them again as if the person had just asked. A "no match"
+        is always dropped. A single wish that no record contradicts, but that all records with the
+        other wishes lack, is set aside.
+
+        The state gets the keys ``wished``, long ``[*B, S]``, the number of times that the person
+        has told each slot, and ``aside``, long ``[*B, S]``, the values set aside.
 
         Args:
             state: the state of the simulator or of a
                 :class:`~bbq_torchrl.people.dialogue.tracking.Tracking`.
         """
-        if "take_back" not in self.rules:
-            return state
         held, tells = state["held"], state["user_informs"] != NONE
-        wished = state.get("wished", torch.zeros_like(held)) + tells
-        own = wished == 0
-        held = torch.where(own & (held == NO_MATCH), NONE, held)
-        found = self._knowledge_base.matching_counts(held)
-        misses = self._open(state) & (self._having(held) == 0)
-        is_found_without = self._having(torch.where(own, NONE, held)) > 0
-        is_stuck = ((found == 0) & tells.any(-1)) | (misses & is_found_without).any(-1)
-        dropped = own & (held != NONE) & is_stuck[..., None]
-        return state.replace(
-            held=torch.where(dropped, NONE, held),
-            heard_requests=state["heard_requests"] | dropped,
-            open_requests=state["open_requests"] | dropped,
-            wished=wished,
-        )
+        aside = state.get("aside", torch.zeros_like(held))
+        held = torch.where((aside != NONE) & ~tells, aside, held)
+        if "take_back" in self.rules:
+            wished = state.get("wished", torch.zeros_like(held)) + tells
+            own = wished == 0
+            held = torch.where(own & (held == NO_MATCH), NONE, held)
+            wishes = torch.where(own, NONE, held)
+            is_nearer = self.records.best(wishes)[2] < self.records.best(held)[2]
+            misses = self._open(state) & (self.records.having(held) == 0)
+            is_found_without = self.records.having(wishes) > 0
+            is_stuck = (is_nearer & tells.any(-1)) | (misses & is_found_without).any(-1)
+            dropped = own & (held != NONE) & is_stuck[..., None]
+            held = torch.where(dropped, NONE, held)
+            state = state.replace(
+                heard_requests=state["heard_requests"] | dropped,
+                open_requests=state["open_requests"] | dropped,
+                wished=wished,
+            )
+        if "on_file" in self.rules:
+            differs, lacks, _ = self.records.best(held)
+            is_aside = lacks & ~differs.any(-1, keepdim=True)
+            is_aside = is_aside & (lacks.sum(-1, keepdim=True) == 1)
+            state = state.replace(aside=torch.where(is_aside, held, NONE))
+            held = torch.where(is_aside, DONT_CARE, held)
+        return state.replace(held=held)
 
     def answers(self, state: TensorDictBase, legal: torch.Tensor) -> torch.Tensor:
         """Returns the action that answers an open question of the person, bool ``[*B, A]``.
@@ -125,9 +137,9 @@ class Control:
         open_ = self._open(state)
         if "answers_first" not in self.rules:
             return torch.zeros_like(legal)
-        having = self._having(state["held"])
-        rank = torch.where(having > 0, having, self._n_records + 1)
-        rank = torch.where(open_, rank, self._n_records + 2)
+        having, n_records = self.records.having(state["held"]), len(self.records.has)
+        rank = torch.where(having > 0, having, n_records + 1)
+        rank = torch.where(open_, rank, n_records + 2)
         first = one_hot(rank.argmin(-1), rank.shape[-1]) & open_
         return legal & self._is_answer & first[..., self._slot]
 
@@ -135,9 +147,10 @@ class Control:
         """Returns the actions that may follow an answer in the same reply, bool ``[*B, A]``."""
         return legal & (self._is_request | self._is_booking)
 
-    def _having(self, held: torch.Tensor) -> torch.Tensor:
-        """Counts the matching records that have each slot. Returns long ``[*B, S]``."""
-        return popcount(self._knowledge_base.matching(held)[..., None, :] & self._having_sets)
+    def is_stuck(self, state: TensorDictBase) -> bool:
+        """Returns whether no record has all values held; the state is that of one dialogue."""
+        differs, lacks, _ = self.records.best(state["held"])
+        return bool((differs | lacks).any())
 
     def _open(self, state: TensorDictBase) -> torch.Tensor:
         """Returns the questions of the user that the agent can answer, bool ``[*B, S]``."""
@@ -145,7 +158,7 @@ class Control:
 
     def _yes_ends(self, state: TensorDictBase) -> torch.Tensor:
         is_yes = state["heard_act"] == self._acts["thanks"]
-        is_offer = state["agent_informs"][..., self._complete] == AVAILABLE
+        is_offer = state.get("offered", state["agent_informs"][..., self._complete] == AVAILABLE)
         ends = is_yes & is_offer & ~self._open(state).any(-1)
         return ends[..., None] == self._is_end
 
@@ -154,16 +167,17 @@ class Control:
         return ~answers.any(-1, keepdim=True) | answers
 
     def _no_asking_back(self, state: TensorDictBase) -> torch.Tensor:
-        held = state["held"]
-        wished = state.get("wished", torch.ones_like(held))
-        is_sure = (held > DONT_CARE) & ((wished == 0) | (wished > 1))
-        just_told = state["user_informs"] > DONT_CARE
-        known = self._open(state) | just_told | is_sure | (held == DONT_CARE)
+        known = self._open(state) | (state["held"] != NONE)
         return ~(self._is_request & known[..., self._slot])
 
+    def _implied(self, state: TensorDictBase) -> torch.Tensor:
+        known = (state["held"] >= FIRST_VALUE)[..., None]
+        is_implied = (known & self.records.determines).any(-2)
+        return ~(self._is_request & is_implied[..., self._slot])
+
     def _news(self, state: TensorDictBase) -> torch.Tensor:
-        is_known = (state["held"] != NONE) & ~self._open(state)
-        return ~(self._is_told & is_known[..., self._slot] | self._is_empty)
+        is_asked = self._open(state)[..., self._slot]
+        return ~((self._is_told & ~is_asked) | self._is_empty)
 
     def _no_repeat(self, state: TensorDictBase) -> torch.Tensor:
         told, asked = state["agent_informs"] != NONE, state["agent_requests"]
@@ -184,10 +198,11 @@ _ALLOWED: dict[str, Callable[[Control, TensorDictBase], torch.Tensor]] = {
     "yes_ends": Control._yes_ends,
     "answers_first": Control._answers_first,
     "no_asking_back": Control._no_asking_back,
+    "implied": Control._implied,
     "news": Control._news,
     "no_repeat": Control._no_repeat,
 }
 """The actions that a rule allows in a state, bool ``[*B, A]``."""
 
-IN_THE_SIMULATOR = (*_ALLOWED, "take_back")
+IN_THE_SIMULATOR = (*_ALLOWED, "take_back", "on_file")
 """The rules that concern acts and memory; the others concern sentences alone."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
@@ -10,10 +11,12 @@ import torch
 from tensordict import TensorDict
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.domains.values import NONE, RESERVED_TEXT
+from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT
+from bbq_torchrl.domains.values import FIRST_VALUE, RESERVED_TEXT
+from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.control import Control
 from bbq_torchrl.people.dialogue.spelling import Spelling
-from bbq_torchrl.people.dialogue.tracking import Acting, Tracking
+from bbq_torchrl.people.dialogue.tracking import Acting, Tracking, full
 from bbq_torchrl.people.language import Frame, TextError, Understood
 from bbq_torchrl.people.language.asking import Asking
 from bbq_torchrl.people.language.words import has_bye, has_yes, is_farewell, is_no, is_yes
@@ -26,6 +29,11 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.language import EndpointGenerator, Generator, Nlu
 
 
+_MAX_CHOICES, _MAX_NAMED = 5, 4
+_MAX_REFUSED = 4
+"""The number of refused offers after which the agent ends the conversation."""
+
+
 @dataclass(frozen=True)
 class Memory:
     """Everything that an agent remembers between two texts.
@@ -33,13 +41,17 @@ class Memory:
     Attributes:
         state: the state of the tracker; ``None`` before the first act understood.
         asking: the clarification questions since the agent last acted.
-        checked: the slot whose known value the agent asked the person to confirm, or empty.
+        proposal: the other values that the agent has just proposed, by slot.
+        refused: the values proposed and refused since the person last told something.
+        denied: the number of offers that the person has refused.
         texts: the number of texts so far.
     """
 
     state: TensorDict | None = None
     asking: Asking = field(default_factory=Asking)
-    checked: str = ""
+    proposal: Mapping[str, str] = field(default_factory=dict)
+    refused: tuple[Mapping[str, str], ...] = ()
+    denied: int = 0
     texts: int = 0
 
     def to_json(self) -> str:
@@ -59,7 +71,8 @@ class Memory:
         if (waiting := asking["waiting"]) is not None:
             waiting = Frame(waiting["act"], waiting["informs"], tuple(waiting["requests"]))
         known = {**asking, "waiting": waiting, "choices": tuple(asking["choices"])}
-        return cls(state, Asking(**known), content["checked"], content["texts"])
+        refused = tuple(content["refused"])
+        return cls(**{**content, "state": state, "asking": Asking(**known), "refused": refused})
 
 
 @dataclass(frozen=True)
@@ -132,6 +145,8 @@ class Partner:
         self._tracking = Tracking(simulator, agent.active)
         self.control = Control(simulator, rules)
         self._acting = Acting(agent, self._tracking, self.control)
+        wanted = Counter(slot for goal in self.domain.goals for slot in goal.constraints)
+        self._goal_slots = [slot for slot, _ in wanted.most_common(_MAX_NAMED)]
 
     def reply(self, memory: Memory | None, text: str, seed: int) -> Answer:
         """Answers a text.
@@ -141,90 +156,292 @@ class Partner:
             text: the person's text.
             seed: the seed of everything random in the answer.
         """
-        before = memory or Memory()
-        now = replace(before, texts=before.texts + 1, checked="")
-        asking = before.asking
+        before, rules = memory or Memory(), self.control.rules
+        now = replace(before, texts=before.texts + 1, proposal={})
         words: dict[str, Any] = {"session": seed, "turn": now.texts}
-        last = None if before.state is None else self._tracking.answered(before.state)
+        question = self._question(before)
         try:
-            reading = self._understood(text, asking.question(last))
+            if "drop" in rules and moves.is_restart(text):
+                sentence = self._nlg.say("restart", **words)
+                greeting = self._nlg.agent(Frame("request"), **words)
+                return self._say(Memory(texts=now.texts), f"{sentence} {greeting}")
+            if "help" in rules and (topic := moves.about(text)):
+                return self._say(now, self._nlg.say(topic, self._goal_slots, **words))
+            reading = self._understood(text, question)
         except TextError as error:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
-        if "farewell" in self.control.rules:
-            is_offer = last is not None and self.domain.complete_slot in last.informs
-            if reading.frame.act == "thanks" and has_bye(text) and not is_offer:
-                reading = replace(reading, frame=Frame("closing"))
-            elif reading.frame.act == "closing" and not is_farewell(text):
-                reading = replace(reading, frame=Frame("not_sure"), confidence=0.0)
-        if asking.is_check or before.checked:
+        is_offered = before.state is not None and bool(before.state["offered"])
+        reading = self._leaving(reading, text, is_offered)
+        others = "way_out" in rules and moves.asks_for_others(text)
+        if before.proposal:
+            if moves.accepts(text):
+                reading = Understood(Frame("inform", before.proposal), 1.0)
+            elif is_no(text) or self._is_bare(reading.frame, "deny"):
+                return self._alternative(before, now, reading, words)
+        elif before.asking.is_check:
             checked = self._answer_to_check(before, text, reading.frame)
             if checked is None:
-                return self._after_no(before, now, reading, words)
+                again = Understood(Frame("not_sure"), 0.0)
+                now = replace(now, asking=Asking(before.asking.times))
+                return self._ask_again(now, again, self._nlg.clarify(again, **words))
             reading = replace(reading, **checked)
-        if asking.asks(self._nlu, reading, self._ask_below):
-            values = _values(asking.joined(reading.frame))
-            if reading.unclear or not values or "confirm" not in self.control.rules:
+        elif is_offered and "yes_ends" in rules and not others:
+            reading = self._to_offer(before, reading, text)
+            if reading.frame.act == "not_sure" and not reading.unclear:
+                use = "not_on_file" if moves.asks(text) else "stands"
+                return self._say(now, self._nlg.say(use, **words), reading)
+        dropped: tuple[str, ...] = ()
+        if "drop" in rules:
+            reading, dropped = self._dropped(before, reading, text, question)
+        if others and not dropped:
+            found = self._others(before, now, reading, text, words)
+            if found is not None:
+                return found
+        if before.asking.asks(self._nlu, reading, self._ask_below):
+            is_unknown = "help" in rules and "?" in text and self._is_bare(reading.frame)
+            if is_unknown and not reading.unclear:
+                return self._say(now, self._nlg.say("unknown_question", **words), reading)
+            values = _values(before.asking.joined(reading.frame))
+            if reading.unclear or not values or "confirm" not in rules:
                 return self._ask_again(now, reading, self._nlg.clarify(reading, **words))
-            now = replace(now, asking=asking.checking(reading))
+            now = replace(now, asking=now.asking.checking(reading))
             answered = Frame("not_sure", values)
-            sentence = self._nlg.check(values, **words)
+            sentence = self._nlg.say("check", values=values, **words)
             return Answer(sentence, reading, reading.frame, answered, now)
-        understood, now = asking.joined(reading.frame), replace(now, asking=Asking())
+        understood, now = before.asking.joined(reading.frame), replace(now, asking=Asking())
         if understood.act == "closing" or understood == Frame("greeting"):
             # Not the agent's decision: a greeting is returned, a farewell ends the conversation.
             answered, ended = Frame(understood.act), "person" if understood.act == "closing" else ""
             sentence = self._nlg.agent(answered, **words)
             return Answer(sentence, reading, understood, answered, now, ended=ended)
-        return self._act(now, reading, understood, seed, words)
+        answer = self._act(now, reading, understood, seed, words)
+        if dropped:
+            said = self._nlg.say("dropped", dropped, **words)
+            answer = replace(answer, text=f"{said} {answer.text}")
+        return answer
+
+    def _question(self, before: Memory) -> Frame | None:
+        """Returns the agent's act that the next text answers."""
+        if before.proposal:
+            return Frame("confirm_question")
+        last = None if before.state is None else self._tracking.answered(before.state)
+        return before.asking.question(last)
+
+    def _leaving(self, reading: Understood, text: str, is_offered: bool) -> Understood:
+        """Returns a reading that ends the conversation only at words of farewell."""
+        if "farewell" in self.control.rules:
+            if reading.frame.act == "thanks" and has_bye(text) and not is_offered:
+                return replace(reading, frame=Frame("closing"))
+            if reading.frame.act == "closing" and not is_farewell(text):
+                return replace(reading, frame=Frame("not_sure"), confidence=0.0)
+        return reading
+
+    def _is_bare(self, frame: Frame, *acts: str) -> bool:
+        """Returns whether a frame of one of some acts has no values, and asks for no slot."""
+        is_empty = not frame.informs and {*frame.requests} <= {self.domain.ticket_slot}
+        return is_empty and (not acts or frame.act in acts)
+
+    def _to_offer(self, before: Memory, reading: Understood, text: str) -> Understood:
+        """Returns the meaning of a reply to an offer: "thanks" if it accepts and says nothing else.
+
+        It is "not sure" if it neither accepts nor says anything that can be acted on.
+        """
+        frame = reading.frame
+        assert before.state is not None
+        is_repeated = frame.informs.items() <= self._tracking.kept(before.state).items()
+        repeats = bool(frame.informs) and is_repeated and not frame.requests and has_yes(text)
+        if moves.accepts(text) or (repeats and not moves.asks(text)):
+            return Understood(Frame("thanks"), 1.0, source=reading.source)
+        is_vague = self._is_bare(frame) and frame.act not in ("deny", "closing")
+        if (is_vague and not is_no(text)) or (
+            self._nlu.asks(reading) and moves.asks(text) and not frame.informs
+        ):
+            unclear = () if moves.asks(text) else reading.unclear
+            return replace(reading, frame=Frame("not_sure"), unclear=unclear)
+        return reading
+
+    def _dropped(
+        self, before: Memory, reading: Understood, text: str, question: Frame | None
+    ) -> tuple[Understood, tuple[str, ...]]:
+        """Returns a reading in which wishes are taken back, and their slots if that is news."""
+        held = {} if before.state is None else self._tracking.kept(before.state)
+        held = {**held, **(before.asking.waiting.informs if before.asking.waiting else {})}
+        told = reading.frame.informs
+        slots = tuple(
+            slot
+            for slot in moves.taken_back(text, held, self._spelling.lexicon)
+            if told.get(slot, ANY) in (ANY, held.get(slot))
+        )
+        if not slots:
+            return reading, ()
+        informs = {slot: value for slot, value in told.items() if value != ANY}
+        frame = replace(reading.frame, informs=informs | dict.fromkeys(slots, ANY))
+        if frame.act not in ("inform", "request"):
+            frame = replace(frame, act="request" if frame.requests else "inform")
+        unclear = tuple(one for one in reading.unclear if one.slot not in slots)
+        asked = question.requests if question is not None else ()
+        news = tuple(slot for slot in slots if slot in held or slot not in asked)
+        return replace(reading, frame=frame, confidence=1.0, unclear=unclear), news
+
+    def _others(
+        self, before: Memory, now: Memory, reading: Understood, text: str, words: dict[str, Any]
+    ) -> Answer | None:
+        """Returns the alternatives that a text asks for; ``None`` if it is about something else."""
+        lexicon, domain = self._spelling.lexicon, self.domain
+        joined = _values(before.asking.joined(reading.frame))
+        told = {k: value for k, value in joined.items() if not moves.asks_for_others(value)}
+        state = self._acting.hear(before.state, Frame("inform", told))
+        slots = moves.named_slots(" ".join(text.lower().split()), lexicon)
+        way = moves.direction(text)
+        if not slots and way:
+            slots = [slot for slot in lexicon.slots if lexicon.kinds[slot] == "time"]
+        question = self._question(before)
+        if not slots and question is not None and question.requests and not before.proposal:
+            slots = [question.requests[0]]
+        slots = [slot for slot in slots if self.control.records.is_listed(domain.slots.index(slot))]
+        if not slots:
+            if not (before.proposal or self.control.is_stuck(state) or bool(state["offered"])):
+                return None
+            return self._alternative(before, replace(now, state=state), reading, words)
+        number, held = domain.slots.index(slots[0]), full(state)
+        found = self.control.records.choices(held, number, way)
+        if len(found) < 2:
+            refused = self._refused(now)
+            change = {number: found[0]} if found else {}
+            change = change or self.control.records.nearest(
+                held, refused, slot=number, direction=way
+            )
+            return self._propose(replace(now, state=state), reading, change, words)
+        ids = torch.zeros_like(held)
+        values = []
+        for value in found[:_MAX_CHOICES]:
+            ids[number] = value
+            values.append(self._tracking.values(ids)[slots[0]])
+        sentence = self._nlg.say("several", slots[:1], choices=values, **words)
+        asking = Asking(slot=slots[0], choices=tuple(values))
+        answered = Frame("multiple_choice", {}, (slots[0],), asking.choices)
+        now = replace(now, state=state, asking=asking)
+        return Answer(sentence, reading, reading.frame, answered, now)
+
+    def _alternative(
+        self, before: Memory, now: Memory, reading: Understood, words: dict[str, Any]
+    ) -> Answer:
+        """Returns the next proposal, if need be after a refused one."""
+        if before.proposal:
+            now = replace(now, refused=(*now.refused, before.proposal))
+        assert now.state is not None
+        change = self.control.records.nearest(full(now.state), self._refused(now))
+        if len(now.refused) >= _MAX_REFUSED:
+            change = {}
+        return self._propose(now, reading, change, words)
+
+    def _refused(self, now: Memory) -> list[list[tuple[int, int]]]:
+        """Returns the refused proposals as pairs of slot and value id."""
+        return [
+            [(slot, value) for slot, value in enumerate(self._tracking.ids(one)) if value]
+            for one in now.refused
+        ]
+
+    def _propose(
+        self,
+        now: Memory,
+        reading: Understood,
+        change: Mapping[int, int],
+        words: dict[str, Any],
+        requests: tuple[str, ...] = (),
+    ) -> Answer:
+        """Returns the proposal of other values, or the question what may change.
+
+        Args:
+            now: the memory, with the state after the person's act.
+            reading: the nlu's result.
+            change: the other values, slot to value id; empty if there are none.
+            words: what determines the words.
+            requests: the slots asked for; the proposal tells their values.
+        """
+        assert now.state is not None
+        held, records = full(now.state), self.control.records
+        now = replace(now, asking=Asking())
+        if not change:
+            told = records.freeing(held) or (held >= FIRST_VALUE).nonzero().flatten().tolist()
+            names = [self.domain.slots[slot] for slot in told][:_MAX_NAMED] or self._goal_slots
+            sentence = self._nlg.say("nothing", names, **words)
+            return Answer(sentence, reading, reading.frame, Frame("not_sure"), now)
+        ids = torch.zeros_like(held)
+        ids[[*change]] = torch.tensor([*change.values()])
+        proposal = self._tracking.values(ids)
+        clash = torch.zeros_like(held)
+        conflict = list(records.conflict(held))
+        clash[conflict] = held[conflict]
+        asked = [self.domain.slots.index(slot) for slot in requests]
+        answers = self._tracking.values(records.answers(held, change, asked))
+        sentence = self._nlg.say(
+            "way_out" if conflict else "another",
+            values=self._tracking.values(clash),
+            other=proposal | answers,
+            **words,
+        )
+        now = replace(now, proposal=proposal)
+        answered = Frame("not_sure", {**proposal, **answers})
+        return Answer(sentence, reading, reading.frame, answered, now)
 
     def _act(
         self, now: Memory, reading: Understood, understood: Frame, seed: int, words: dict[str, Any]
     ) -> Answer:
-        """Returns the policy's answer to an act."""
-        acted = self._acting.reply(now.state, understood, seed)
+        """Returns the policy's answer to an act, or the way out if no record has all wishes."""
+        before, rules = now.state, self.control.rules
+        is_offered = before is not None and bool(before["offered"])
+        told = {**understood.informs}
+        if told and now.refused and not told.items() <= now.refused[-1].items():
+            now = replace(now, refused=())
+        if is_offered and self._is_bare(understood, "deny"):
+            now = replace(now, denied=now.denied + 1)
+            if now.denied >= _MAX_REFUSED:
+                sentence, answered = self._nlg.say("no_more", **words), Frame("closing")
+                return Answer(sentence, reading, understood, answered, now, ended="agent")
+        if "way_out" in rules:
+            state = self._acting.hear(before, understood)
+            if self.control.is_stuck(state):
+                asked = tuple(
+                    slot for slot in understood.requests if slot != self.domain.ticket_slot
+                )
+                change = self.control.records.nearest(
+                    state["held"],
+                    self._refused(now),
+                    asked=[self.domain.slots.index(slot) for slot in asked],
+                )
+                now = replace(now, state=state)
+                return self._propose(now, reading, change, words, asked)
+        acted = self._acting.reply(before, understood, seed)
         answered, now = acted.answered, replace(now, state=acted.state)
+        if is_offered and self._is_bare(understood, "deny") and bool(acted.state["offered"]):
+            names = [slot for slot in self.domain.slots if slot in _values(answered)][:_MAX_NAMED]
+            return self._say(now, self._nlg.say("change", names, **words), reading)
         sentences = [self._nlg.agent(act, kept, **words) for act, kept in acted.parts]
-        last, kept = acted.parts[-1]
-        known = {slot: value for slot, value in _values(kept).items() if slot in last.requests}
-        if last.act == "request" and known and "check" in self.control.rules:
-            now = replace(now, checked=last.requests[0])
-            sentences[-1] = self._nlg.check(known, **words)
+        for slot in acted.aside:
+            absent = self._nlg.agent(Frame("inform", {slot: NO_MATCH_TEXT}), **words)
+            sentences.insert(0, absent)
         ended = "agent" if answered.act in ("thanks", "closing") else ""
         if not ended and 2 * now.texts >= self.agent.simulator.max_turn:
             ended = "turns"
-        sentence, rules = " ".join(sentences), acted.control
-        return Answer(sentence, reading, acted.understood, answered, now, True, ended, rules)
+        sentence, left_out = " ".join(sentences), acted.control
+        return Answer(sentence, reading, acted.understood, answered, now, True, ended, left_out)
 
     def _answer_to_check(self, before: Memory, text: str, frame: Frame) -> dict[str, Any] | None:
         """Returns the meaning of a text after "..., is that right?"; ``None`` for a plain no."""
-        is_bare = not frame.informs and {*frame.requests} <= {self.domain.ticket_slot}
-        if is_no(text) or (is_bare and frame.act == "deny"):
+        if is_no(text) or self._is_bare(frame, "deny"):
             return None
-        says_yes = is_yes(text) or (
+        is_bare = self._is_bare(frame)
+        if not is_yes(text) and not (
             is_bare and (frame.act in ("confirm_answer", "thanks") or has_yes(text))
-        )
-        if not says_yes:
+        ):
             return {}
-        if before.checked:
-            assert before.state is not None
-            value = self._tracking.kept(before.state)[before.checked]
-            return {"frame": Frame("inform", {before.checked: value}), "confidence": 1.0}
         return {"frame": before.asking.waiting, "confidence": 1.0, "unclear": ()}
 
-    def _after_no(
-        self, before: Memory, now: Memory, reading: Understood, words: dict[str, Any]
-    ) -> Answer:
-        """Returns the next question after a no to "..., is that right?"."""
-        if not before.checked:
-            again = Understood(Frame("not_sure"), 0.0)
-            now = replace(now, asking=Asking(before.asking.times))
-            return self._ask_again(now, again, self._nlg.clarify(again, **words))
-        assert now.state is not None
-        kept = now.state["held"].clone()
-        kept[self.domain.slots.index(before.checked)] = NONE
-        now = replace(now, state=now.state.replace(held=kept))
-        answered = Frame("request", {}, (before.checked,))
-        return Answer(self._nlg.agent(answered, **words), reading, reading.frame, answered, now)
+    def _say(self, now: Memory, sentence: str, reading: Understood | None = None) -> Answer:
+        """Returns a sentence that changes nothing in the dialogue."""
+        understood = Frame("not_sure") if reading is None else reading.frame
+        return Answer(sentence, reading, understood, Frame("not_sure"), now)
 
     def observe(self, memory: Memory | None, understood: Frame) -> torch.Tensor:
         """Returns the observation, float32 ``[F]``, on which the agent answered an act.
@@ -241,6 +458,12 @@ class Partner:
         rules = self.control.rules
         if "aside" in rules and question is not None:
             reading = self._aside(text, question.requests[:1], reading)
+        if "answers_first" in rules:
+            reading = self._all_questions(text, reading)
+        asked = question.requests if question is not None and not question.choices else ()
+        if "drop" in rules and asked and moves.is_nothing(text):
+            free = Frame("inform", {asked[0]: ANY})
+            reading = replace(reading, frame=free, confidence=1.0, unclear=())
         values = reading.frame.informs
         if "names" not in rules:
             frame = replace(reading.frame, informs=self._spelling.of(values))
@@ -249,6 +472,17 @@ class Partner:
         informs, unclear = self._spelling.understood(text, values, informed)
         frame = replace(reading.frame, informs=informs)
         return replace(reading, frame=frame, unclear=(*reading.unclear, *unclear))
+
+    def _all_questions(self, text: str, reading: Understood) -> Understood:
+        """Returns a reading with the questions of each clause, which are read by themselves."""
+        asked = dict.fromkeys(reading.frame.requests)
+        for clause in moves.questions(text):
+            alone = self._nlu(clause, None).frame.requests
+            asked |= dict.fromkeys(self._spelling.named(clause, alone))
+        if len(asked) == len(reading.frame.requests):
+            return reading
+        frame = Frame("request", reading.frame.informs, tuple(asked))
+        return replace(reading, frame=frame)
 
     def _aside(self, text: str, asked: tuple[str, ...], reading: Understood) -> Understood:
         """Returns the meaning of a text that may ask for something instead of answering."""

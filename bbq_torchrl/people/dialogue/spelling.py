@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 _RESERVED = frozenset(fold(text) for text in RESERVED_TEXT.values())
 _LATER = PART_WORDS - {"morning"} | {"tonight"}
+_LONGEST = 8  # words of a name
 _CLOCK = 4  # words of a time: "half past eleven"
 
 
@@ -32,6 +33,7 @@ class Spelling:
         domain: the domain, with its phrases in its folder; otherwise with the generic phrases.
 
     Attributes:
+        lexicon: the domain's phrases and values.
         domain: the domain, with its records and goals in their most frequent spelling.
 
     Examples:
@@ -43,7 +45,7 @@ class Spelling:
     """
 
     def __init__(self, domain: Domain) -> None:
-        self._lexicon = Lexicon(domain)
+        self.lexicon = Lexicon(domain)
         self.domain = replace(
             domain,
             records=tuple(map(self.of, domain.records)),
@@ -58,7 +60,7 @@ class Spelling:
 
     def of(self, values: Mapping[str, str]) -> dict[str, str]:
         """Returns the values by slot in that spelling; unknown values are unchanged."""
-        return {slot: self._lexicon.respell(slot, value) for slot, value in values.items()}
+        return {slot: self.lexicon.respell(slot, value) for slot, value in values.items()}
 
     def understood(
         self, text: str, values: Mapping[str, str], informed: Mapping[str, str]
@@ -87,8 +89,20 @@ class Spelling:
             if len(options) == 1 and self._has(slot, options[0]):
                 found[slot] = options[0]
             else:
-                unclear.append(Unclear(slot, value, options if len(options) > 1 else ()))
+                several = options if len(options) > 1 else ()
+                unclear.append(Unclear(slot, self._typed(text, slot, value), several))
         return found, tuple(unclear)
+
+    def _typed(self, text: str, slot: str, value: str) -> str:
+        """Returns the words of a text that name exactly a value, else the value."""
+        words, key = tokenize(text), self.lexicon.key(slot, value)
+        for size in range(min(len(words), _LONGEST), 0, -1):
+            for at in range(len(words) - size + 1):
+                name = " ".join(words[at : at + size])
+                link = self.lexicon.link(slot, name)
+                if link.is_exact and self.lexicon.key(slot, link.values[0]) == key:
+                    return name
+        return value
 
     def _has(self, slot: str, value: str) -> bool:
         """Returns whether a record has a value, or the slot constrains no booking."""
@@ -96,7 +110,7 @@ class Spelling:
 
     def _options(self, text: str, slot: str, value: str, informed: str | None) -> tuple[str, ...]:
         """Returns the values that a person may mean by one."""
-        lexicon = self._lexicon
+        lexicon = self.lexicon
         kind, key = lexicon.kinds.get(slot), lexicon.key(slot, value)
         if kind == "date" and not self._has(slot, value):
             day, _, part = key.rpartition(" ")
@@ -119,7 +133,7 @@ class Spelling:
             slots: the slots that may be named.
             asked: the slots asked about: their nouns do not name another slot.
         """
-        nouns = {slot: set(phrases.nouns) for slot, phrases in self._lexicon.phrases.slots.items()}
+        nouns = {slot: set(phrases.nouns) for slot, phrases in self.lexicon.phrases.slots.items()}
         spoken = set().union(*(nouns[slot] for slot in asked))
         words = set(tokenize(text))
         return tuple(

@@ -9,10 +9,13 @@ import torch
 from tensordict import TensorDict
 
 from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT, Coding
+from bbq_torchrl.domains.values import AVAILABLE, NONE
 from bbq_torchrl.people.language import Frame
 from bbq_torchrl.simulator import Utterance
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from bbq_torchrl.people.dialogue.control import Control
     from bbq_torchrl.people.dialogue.trained_agent import TrainedAgent
     from bbq_torchrl.simulator import Simulator
@@ -141,8 +144,22 @@ class Tracking:
         )
 
     def kept(self, state: TensorDict) -> dict[str, str]:
-        """Returns the values that the tracker holds, by slot."""
-        return self._coding.values(state["held"].tolist())
+        """Returns the values that the tracker holds or has set aside, by slot."""
+        return self._coding.values(full(state).tolist())
+
+    def ids(self, values: Mapping[str, str]) -> list[int]:
+        """Returns the ids ``[S]`` of values by slot; 0 for the others."""
+        return self._coding.ids(values)
+
+    def values(self, ids: torch.Tensor) -> dict[str, str]:
+        """Returns the values of ids ``[S]``, by slot."""
+        return self._coding.values(ids.tolist())
+
+
+def full(state: TensorDict) -> torch.Tensor:
+    """Returns the values held, with those that the control set aside, long ``[S]``."""
+    aside = state.get("aside", None)
+    return state["held"] if aside is None else torch.where(aside != NONE, aside, state["held"])
 
 
 @dataclass(frozen=True)
@@ -153,12 +170,14 @@ class Acted:
         understood: the act that the agent replies to.
         state: the state of the tracker after the acts.
         parts: each act, and the tracker's values before it.
+        aside: the wishes that the fitting records do not say, by slot; an offer has them as well.
         control: the rules that kept the agent from its preferred act.
     """
 
     understood: Frame
     state: TensorDict
     parts: tuple[tuple[Frame, dict[str, str]], ...]
+    aside: dict[str, str]
     control: tuple[str, ...]
 
     @property
@@ -170,7 +189,7 @@ class Acted:
         *answers, (last, _) = self.parts
         informs = {slot: value for act, _ in answers for slot, value in act.informs.items()}
         later = {s: value for s, value in last.informs.items() if s not in informs or value != ANY}
-        return Frame(last.act, {**informs, **later}, last.requests)
+        return Frame(last.act, {**informs, **later, **self.aside}, last.requests)
 
 
 class Acting:
@@ -190,10 +209,18 @@ class Acting:
         self._booking = torch.arange(len(agent.legal)) == booking
 
     def hear(self, state: TensorDict | None, understood: Frame) -> TensorDict:
-        """Returns the state after a person's act; ``state`` is ``None`` before the first."""
+        """Returns the state after a person's act; ``state`` is ``None`` before the first.
+
+        Its key ``offered``, bool ``[]``, is whether an offer stands: nothing that the person has
+        told since is new.
+        """
         if state is None:
-            return self._control.remember(self._tracking.start(understood))
-        return self._control.remember(self._tracking.hear(state, understood))
+            heard = self._tracking.start(understood)
+            return self._control.remember(heard.replace(offered=torch.tensor(False)))
+        heard = self._tracking.hear(state, understood)
+        told = heard["user_informs"]
+        is_known = ((told == NONE) | (told == full(state))).all()
+        return self._control.remember(heard.replace(offered=state["offered"] & is_known))
 
     def reply(self, state: TensorDict | None, understood: Frame, seed: int) -> Acted:
         """Returns the acts that reply to a person's act.
@@ -205,10 +232,10 @@ class Acting:
         """
         agent, control = self._agent, self._control
         legal = agent.legal
+        is_offered = state is not None and bool(state["offered"])
         is_ticket = understood == Frame("request", {}, (self._ticket,))
         if is_ticket and state is not None and "book" in control.rules:
-            last = self._tracking.answered(state)
-            if last is not None and self._complete in last.informs:
+            if is_offered:
                 understood = Frame("thanks")
             else:
                 legal = self._booking
@@ -220,29 +247,33 @@ class Acting:
         rules = tuple(name for name, actions in left_out.items() if actions[action])
         state, parts = self._answer(state, understood, legal, seed)
         if parts:
-            allowed, _ = control.allowed(state, control.continues(legal))
+            follows = control.continues(legal)
+            allowed, _ = control.allowed(state, follows & self._booking if is_offered else follows)
             observation = self._tracking.observe(state)
-        if not parts or (allowed.any() and NO_MATCH_TEXT not in parts[-1][0].informs.values()):
+        if not parts or allowed.any():
             if parts or rules:
                 action = agent.decide(observation, seed, allowed)
             state = self._act(state, action, parts)
-        return Acted(understood, state, tuple(parts), rules)
+        is_offer = self._complete in parts[-1][0].informs and "aside" in state
+        aside = self._tracking.values(state["aside"]) if is_offer else {}
+        return Acted(understood, state, tuple(parts), aside, rules)
 
     def _answer(
         self, state: TensorDict, understood: Frame, legal: torch.Tensor, seed: int
     ) -> tuple[TensorDict, list[tuple[Frame, dict[str, str]]]]:
-        """Returns the state after the answers to all open questions, or to one without a match.
+        """Returns the state after the answers to all open questions.
 
-        The state is then as if the person had asked for the ticket, as simulated users do when they
-        have nothing else to ask.
+        An answer that no matching record has is told, and not held. The state is then as if the
+        person had asked for the ticket, as simulated users do when they have nothing else to ask.
         """
         parts: list[tuple[Frame, dict[str, str]]] = []
         turn = state["turn"]
         while (answers := self._control.answers(state, legal)).any():
+            held = state["held"]
             action = self._agent.decide(self._tracking.observe(state), seed, answers)
             state = self._act(state, action, parts)
             if NO_MATCH_TEXT in parts[-1][0].informs.values():
-                return state, parts
+                state = state.replace(held=held)
         if parts:
             wish = Frame("request", understood.informs, (self._ticket,))
             state = self._tracking.hear(state, wish)
@@ -255,5 +286,8 @@ class Acting:
         after = self._tracking.act(state, action)
         answered = self._tracking.answered(after)
         assert answered is not None
-        parts.append((answered, self._tracking.kept(state)))
+        parts.append((answered, self._tracking.values(state["held"])))
+        if self._booking[action]:
+            is_available = after["agent_informs"][self._agent.domain.slots.index(self._complete)]
+            return after.replace(offered=is_available == AVAILABLE)
         return after

@@ -235,7 +235,7 @@ class EndpointGenerator:
         self, endpoint: Endpoint, own: Generator, tell: Callable[[str], object] = _LOG.warning
     ) -> None:
         self._endpoint, self._own, self._tell = endpoint, own, tell
-        self.clarify, self.check = own.clarify, own.check
+        self.clarify, self.say = own.clarify, own.say
 
     def agent(
         self,

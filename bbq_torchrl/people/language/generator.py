@@ -69,6 +69,12 @@ def chance(session: str | int, turn: int, side: str) -> random.Random:
     return random.Random(int.from_bytes(digest, "big"))
 
 
+def listed(texts: Sequence[str], word: str) -> str:
+    """Returns texts in a row, the last after a word: ``"a, b or c"``."""
+    *most, last = texts or [""]
+    return f"{', '.join(most)} {word} {last}" if most else last
+
+
 def sentence(pieces: Sequence[Piece]) -> str:
     """Returns pieces as a sentence with an initial capital and a final mark."""
     text = plain(pieces)
@@ -170,22 +176,41 @@ class Generator:
         use = "denied" if unclear.is_denied else "unknown"
         return sentence(self._fill(self._phrases.agent[use], rng, unclear.slot, words))
 
-    def check(self, values: Mapping[str, str], *, session: str | int = 0, turn: int = 0) -> str:
-        """Returns an agent's question about whether some values are right.
+    def say(
+        self,
+        use: str,
+        slots: Sequence[str] = (),
+        *,
+        values: Mapping[str, str] | None = None,
+        other: Mapping[str, str] | None = None,
+        choices: Sequence[str] = (),
+        session: str | int = 0,
+        turn: int = 0,
+    ) -> str:
+        """Returns an agent's sentence of one of the uses in the phrases, such as ``check``.
 
         Args:
-            values: slot to value.
+            use: the use.
+            slots: the slots that ``<name>`` names.
+            values: slot to value, of ``<wishes>``.
+            other: slot to value, of ``<other>``.
+            choices: values of the first slot, of ``<choices>``.
             session: determines the words, with ``turn``.
             turn: the number of the turn in the session.
         """
         rng = chance(session, turn, "agent")
-        said = {"<wishes>": self._wishes(values, rng)}
-        return _polished(sentence(self._fill(self._phrases.agent["check"], rng, None, said)))
+        written = [self._written(slots[0], value) for value in choices]
+        said = {
+            "<name>": [Piece(listed([self._phrases.slots[slot].name for slot in slots], "and"))],
+            "<choices>": [Piece(listed(written, "or"))],
+            "<wishes>": self._wishes(values or {}, rng),
+            "<other>": self._wishes(other or {}, rng),
+        }
+        return _polished(sentence(self._fill(self._phrases.agent[use], rng, None, said)))
 
     def _choose(self, slot: str, choices: Sequence[str], rng: random.Random) -> list[Piece]:
-        *most, last = (self._written(slot, value) for value in choices)
-        listed = f"{', '.join(most)} or {last}" if most else last
-        return self._fill(self._phrases.agent["choose"], rng, slot, {"<choices>": [Piece(listed)]})
+        said = listed([self._written(slot, value) for value in choices], "or")
+        return self._fill(self._phrases.agent["choose"], rng, slot, {"<choices>": [Piece(said)]})
 
     def _tell(
         self, slot: str, value: str, wishes: Mapping[str, str], rng: random.Random

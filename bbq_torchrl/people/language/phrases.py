@@ -199,7 +199,7 @@ GENERIC = (
 """The rest of the sentence that begins "The domain <name>"."""
 
 _SECTIONS = ("rules", "user", "agent")
-_DERIVED = ("name", "wishes", "conflict", "choices", "wrong", "words", "q")
+_DERIVED = ("name", "wishes", "other", "conflict", "choices", "wrong", "words", "q")
 """Rules that are filled in while a sentence is generated."""
 
 

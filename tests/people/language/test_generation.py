@@ -203,7 +203,7 @@ def test_what_is_unclear_is_asked_about_by_its_words(speak):
 
 def test_agents_write_names_as_titles_and_one_in_the_singular(speak):
     wishes = {"moviename": "dune: part two", "state": "wa", "numberofpeople": "1"}
-    texts = [speak.check(wishes, session=session) for session in range(20)]
+    texts = [speak.say("check", values=wishes, session=session) for session in range(20)]
     assert all("Dune: Part Two" in text and "WA" in text for text in texts)
     assert not any(re.search("1 (people|tickets)", text) for text in texts)
     assert any(re.search("1 (person|ticket)", text) for text in texts)

@@ -1,0 +1,182 @@
+"""Moves that a person makes with words alone: accepting, taking wishes back, asking for others."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+import yaml
+
+from bbq_torchrl.people.language.words import legible, tokenize
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator, Mapping
+
+    from bbq_torchrl.people.language.lexicon import Lexicon
+
+_DATA = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="utf-8"))
+
+
+def _pattern(text: str) -> re.Pattern[str]:
+    """Returns a compiled pattern of the file, whose lines may break after a ``|``."""
+    text = text.replace("| ", "|").replace("<it>", _DATA["it"])
+    return re.compile(re.sub(r"(?<!P)<x>", r"(?P<x>[\\w' ]+?)", text))
+
+
+_ACCEPT = [_pattern(rf"(?<!\S)(?:{text})(?!\S)") for text in _DATA["accept"]]
+_BESIDE = frozenset(_DATA["beside"].split())
+_QUESTION = _pattern(_DATA["question"])
+_BEFORE = [_pattern(rf"\b(?:{text})\b(?P<x>.*)") for text in _DATA["before"]]
+_AFTER = [_pattern(rf"(?P<x>.*?)(?: |(?='s))(?:{text})(?!\w)") for text in _DATA["after"]]
+_ANY, _AROUND, _EXCEPT = (_pattern(_DATA[name]) for name in ("any", "around", "except"))
+_STOPS, _VAGUE = _pattern(_DATA["stops"]), frozenset(_DATA["vague"].split())
+_RESTART, _OTHERS = _pattern(_DATA["restart"]), _pattern(_DATA["others"])
+_LATER, _EARLIER = _pattern(_DATA["later"]), _pattern(_DATA["earlier"])
+_ABOUT = {name: _pattern(_DATA[name]) for name in ("help", "bot", "nothing")}
+_CLAUSE = re.compile(r" ?[,.;!?:()] ?| (?:but|and then) ")
+_AND = re.compile(rf"{_CLAUSE.pattern}(?:and |also |plus )*| (?:and|also|plus|&) ")
+_WHERE = re.compile(r" (?:in|at|on|near) ")
+_LONGEST = 6  # words of a value
+
+
+def _words(text: str) -> str:
+    return " ".join(tokenize(legible(text)))
+
+
+def accepts(text: str) -> bool:
+    """Returns whether a text accepts an offer and says nothing else.
+
+    Examples:
+        >>> [accepts(text) for text in ("ok, book it please", "that works for me", "never mind")]
+        [True, True, False]
+        >>> [accepts(text) for text in ("ok, how do I get there?", "ok but let me check with her")]
+        [False, False]
+    """
+    words, is_yes = f" {_words(text)} ", False
+    for pattern in _ACCEPT:
+        words, count = pattern.subn(" ", words)
+        is_yes = is_yes or count > 0
+    return is_yes and set(words.split()) <= _BESIDE
+
+
+def asks(text: str) -> bool:
+    """Returns whether a text asks something, makes a condition, or hesitates."""
+    return _QUESTION.search(_words(text)) is not None
+
+
+def questions(text: str) -> list[str]:
+    """Returns the clauses of a text with several, if it asks something.
+
+    Examples:
+        >>> questions("Where, and on what day?")
+        ['where', 'on what day']
+    """
+    clauses = [part for part in _AND.split(_words(text)) if part]
+    return clauses if len(clauses) > 1 and asks(text) else []
+
+
+def is_nothing(text: str) -> bool:
+    """Returns whether a text is an answer that names nothing, such as "no, not really"."""
+    return _ABOUT["nothing"].fullmatch(_plain(text)) is not None
+
+
+def _plain(text: str) -> str:
+    """Returns the words of a text without marks."""
+    return " ".join(word for word in _words(text).split() if word.isalpha() or "'" in word)
+
+
+def is_restart(text: str) -> bool:
+    """Returns whether a text takes everything back.
+
+    Examples:
+        >>> [is_restart(text) for text in ("Let's start over", "forget everything", "forget it")]
+        [True, True, False]
+    """
+    return _RESTART.search(_words(text)) is not None
+
+
+def about(text: str) -> str:
+    """Returns ``"help"`` or ``"bot"`` for a text that asks only about the system, else ``""``."""
+    words = _plain(text)
+    return next((name for name in ("help", "bot") if _ABOUT[name].fullmatch(words)), "")
+
+
+def direction(text: str) -> int:
+    """Returns 1 for a text that asks for something later, -1 for earlier, else 0."""
+    words = _words(text)
+    return bool(_LATER.search(words)) - bool(_EARLIER.search(words))
+
+
+def asks_for_others(text: str) -> bool:
+    """Returns whether a text asks for alternatives.
+
+    Examples:
+        >>> [asks_for_others(text) for text in ("What else is there?", "another day then", "at 7")]
+        [True, True, False]
+    """
+    return _OTHERS.search(_words(text)) is not None
+
+
+def taken_back(text: str, held: Mapping[str, str], lexicon: Lexicon) -> tuple[str, ...]:
+    """Returns the slots whose wish a text takes back, or that it says do not matter.
+
+    Args:
+        text: the person's text.
+        held: the values that the tracker holds.
+        lexicon: the domain's phrases and values.
+    """
+    found: list[str] = []
+    if _EXCEPT.search(_words(text)):  # a value is excluded
+        return ()
+    for clause in _CLAUSE.split(_words(text)):
+        for match in _ANY.finditer(clause):
+            if "?" not in text or match.end() < len(clause):  # "Any good movies?"
+                found += named_slots(_WHERE.split(match["x"])[0], lexicon)
+        for region in _regions(clause):
+            found += named_slots(region, lexicon)
+            found += _named_values(region, held, lexicon)
+    return tuple(dict.fromkeys(found))
+
+
+def _regions(clause: str) -> Iterator[str]:
+    """Yields the words of a clause that name what is taken back."""
+    for match in _AROUND.finditer(clause):
+        yield match["x"]
+    for patterns in (_BEFORE, _AFTER):
+        for pattern in patterns:
+            if found := pattern.search(clause):
+                yield _STOPS.split(found["x"])[0 if patterns is _BEFORE else -1]
+
+
+def named_slots(words: str, lexicon: Lexicon) -> list[str]:
+    """Returns the slots for which some words have a noun, in the order of the words."""
+    found = []
+    for word in words.split():
+        forms = {word, word.removesuffix("s"), word.removesuffix("es"), f"{word[:-3]}y"} - _VAGUE
+        for slot in lexicon.slots:
+            phrases = lexicon.phrases.slots[slot]
+            last = phrases.name.lower().split()[-1]
+            if forms & {*phrases.nouns, last} and not (word != last and last in words.split()):
+                found.append(slot)
+    return found
+
+
+def _named_values(words: str, held: Mapping[str, str], lexicon: Lexicon) -> list[str]:
+    """Returns the slots of the values that some words name: those held, or of one slot only."""
+    parts, found = words.split(), []
+    for size in range(min(_LONGEST, len(parts)), 0, -1):
+        for start in range(len(parts) - size + 1):
+            name = " ".join(parts[start : start + size])
+            held_slots = [
+                slot
+                for slot in lexicon.slots
+                if slot in held
+                and (link := lexicon.link(slot, name)).score > 0.8
+                and held[slot] in link.values
+            ]
+            only = lexicon.only_slot(name) if size > 1 or len(name) > 3 else None
+            if slots := held_slots or ([only] if only else []):
+                found += slots
+                parts[start : start + size] = [""] * size
+    return found

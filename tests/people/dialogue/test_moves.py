@@ -1,0 +1,39 @@
+"""What people do with words alone: accepting an offer, and taking wishes back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+import yaml
+
+from bbq_torchrl.people.dialogue.moves import accepts, is_restart, taken_back
+
+TEXTS = yaml.safe_load(Path(__file__).with_name("moves.yaml").read_text(encoding="utf-8"))
+HELD = {
+    "moviename": "barbie",
+    "city": "albany",
+    "date": "friday",
+    "starttime": "7 pm",
+    "theater": "amc pacific place 11 theater",
+    "video_format": "3d",
+}
+
+
+def heard(text, lexicon):
+    return "all" if is_restart(text) else " ".join(taken_back(text, HELD, lexicon))
+
+
+@pytest.mark.parametrize("kind", TEXTS["taken_back"])
+def test_a_wish_is_taken_back_in_any_words(lexicon, kind):
+    texts = TEXTS["taken_back"][kind]
+    assert {text: heard(text, lexicon) for text in texts} == texts
+
+
+def test_other_texts_take_nothing_back(lexicon):
+    assert not [text for text in TEXTS["kept"] if heard(text, lexicon)]
+
+
+def test_an_offer_is_accepted_by_a_text_that_says_nothing_else():
+    assert not [text for text in TEXTS["accepted"] if not accepts(text)]
+    assert not [text for text in TEXTS["not_accepted"] if accepts(text)]
