@@ -24,6 +24,9 @@ FILES = {name: name.lower().replace("-", "_") for name in PAPER["full"]}
 FILES |= {"Soft BBQN-MAP": "bbqn_map_soft", "GP": "gp"}
 """Agent -> its name in results/."""
 
+README = ("BBQN-MAP", "DQN-Bootstrap", "DQN-Boltzmann", "DQN", "GP")
+"""Agents of the small table: those of README's figure, and the fastest learner."""
+
 SEARCHED = {"Soft BBQN-MAP, searched": "bbqn", "DQN-Boltzmann, searched": "dqn_boltzmann"}
 """Agent with searched settings -> the end of its name in results/searched/."""
 
@@ -78,7 +81,7 @@ def _shown(columns: Mapping[str, Mapping[str, Seeds]], heads: Sequence[str]) -> 
                 of[name] = short(hotel[policy])
             elif not column.startswith("extension"):
                 of[name] = movie
-    names = [*FILES, *(name for name in SEARCHED if name in next(iter(cells.values())))]
+    names = [name for name in (*FILES, *SEARCHED) if name in next(iter(cells.values()))]
     names += ["script `repair`", "privileged ceiling"]
     rows = [(name, *(of.get(name, "–") for of in cells.values())) for name in names]
     return (
@@ -105,11 +108,18 @@ def _best() -> str:
 
 @block("results.best_small")
 def _best_small() -> str:
-    """Returns all agents in the full domain: early, at the end, and without the spike."""
+    """Returns the agents of the figure: early, at the end, and without the spike."""
     columns = _columns()
     chosen = {
-        column: {agent: of for agent, of in columns[column].items() if agent not in SEARCHED}
+        column: {agent: of for agent, of in columns[column].items() if agent in README}
         for column in ("full: 1,000", "full: end", UNSPIKED["movie"])
     }
+    one, other = (columns["full: end"][agent] for agent in ("BBQN-MAP", "DQN"))
+    gap = difference([one[seed] - other[seed] for seed in one])
+    ends = [short(estimate([*of.values()]).value) for of in (one, other)]
     shown = _shown(chosen, ["booked of the first 1,000", "end", "end, without the spike"])
-    return f"{shown} *: of {group('no_spike/dqn').dialogues:,} dialogues, five seeds."
+    return (
+        f"**BBQN-MAP ends with a success of {ends[0]}, DQN with {ends[1]}** (a difference of "
+        f"{short(gap.value)}, 95 % interval {short(gap.low)} to {short(gap.high)}).\n\n"
+        f"{shown} *: of {group('no_spike/dqn').dialogues:,} dialogues, five seeds."
+    )

@@ -37,9 +37,10 @@ def write_report(folder: Path, outcomes: Outcomes) -> None:
     """Writes ``report.md`` with its tables and figures, and the data.
 
     Args:
-        folder: the output folder, created if missing.
+        folder: the output folder; if missing, it is created for its owner alone.
         outcomes: the study's outcomes.
     """
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     report(outcomes).write(folder)
     export(folder, outcomes)
 

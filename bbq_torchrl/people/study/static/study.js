@@ -13,7 +13,7 @@ if (card) {
   const key = `card ${card.dataset.conversation}`;
   try {
     const chosen = sessionStorage.getItem(key);
-    card.open = chosen ? chosen === "open" : card.open || innerHeight > 800;
+    card.open = chosen ? chosen === "open" : card.open || innerHeight >= 720;
     card.querySelector("summary").addEventListener("click", () =>
       sessionStorage.setItem(key, card.open ? "closed" : "open"));
   } catch {} // a browser that stores nothing
