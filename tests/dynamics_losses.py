@@ -1,7 +1,5 @@
 """Dynamics models, and losses with them, for the tests of the losses."""
 
-from __future__ import annotations
-
 import pickle
 from copy import deepcopy
 

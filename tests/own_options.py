@@ -1,7 +1,5 @@
 """Options that a test registers, and that are gone after it."""
 
-from __future__ import annotations
-
 import sys
 from contextlib import contextmanager
 

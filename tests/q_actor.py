@@ -1,7 +1,5 @@
 """Actors and observations for the tests of policies."""
 
-from __future__ import annotations
-
 import torch
 import torch.nn.functional as F
 from tensordict import TensorDict

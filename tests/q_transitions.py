@@ -1,7 +1,5 @@
 """Transitions, actors and reference computations for the tests of the losses."""
 
-from __future__ import annotations
-
 import torch
 from tensordict import TensorDict
 from torchrl.data import Categorical

@@ -1,7 +1,5 @@
 """The tools that stand in for a CUDA device find what they are there to find."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

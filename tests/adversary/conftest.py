@@ -4,8 +4,6 @@
 are run one after the other, each with the same numbers, add to one record.
 """
 
-from __future__ import annotations
-
 import json
 import os
 import random

@@ -1,7 +1,5 @@
 """The command ``bbq``: every command by one name."""
 
-from __future__ import annotations
-
 import importlib
 import sys
 

@@ -1,7 +1,5 @@
 """The wheel: installed without the checkout it trains, and says what CITATION.cff says."""
 
-from __future__ import annotations
-
 import json
 import os
 import re

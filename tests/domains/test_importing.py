@@ -2,12 +2,11 @@
 
 import pickle
 import re
-import sys
 
 import pytest
 from tiny import TINY
 
-from bbq_torchrl.cli import calibrate, console
+from bbq_torchrl.cli import calibrate
 from bbq_torchrl.domains import REQUIRED_ACTS, Goal, load_domain
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
 from bbq_torchrl.evaluation.rollouts import evaluate
@@ -165,11 +164,3 @@ def test_a_folder_that_has_files_is_left_alone(imported, tmp_path):
     code, _, err = imported(*CHOICES)
     assert (code, (tmp_path / "taxi" / "domain.yaml").read_text()) == (2, "mine")
     assert "folder must be new or empty" in err
-
-
-def test_the_console_command_has_it_too(monkeypatch, capsys):
-    monkeypatch.setattr(sys, "argv", ["bbq", "domains", "import", "--help"])
-    with pytest.raises(SystemExit) as ended:
-        console.main()
-    assert ended.value.code == 0
-    assert "--ticket" in capsys.readouterr().out

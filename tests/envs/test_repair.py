@@ -6,7 +6,6 @@ from tensordict import TensorDict
 
 from bbq_torchrl.envs import DialogueEnv, RepairPolicy, scripted_policy
 from bbq_torchrl.envs.repair import MAX_CONFIRMS, MAX_OFFERS
-from bbq_torchrl.evaluation.rollouts import evaluate
 
 SLOTS = ["city", "date", "zip"]
 ANSWERED = "agent_act:inform agent_informed:theater"
@@ -83,17 +82,6 @@ def test_after_a_denial_every_filled_slot_is_asked_once(env):
         *("inform(taskcomplete)", "request(city)", "request(date)"),
         *("inform(taskcomplete)", "request(city)"),
     ]
-
-
-def test_it_books_more_than_every_other_script(movie):
-    def rate(name, **errors):
-        env = DialogueEnv(movie, batch_size=(800,), seed=0, **errors)
-        return evaluate(env, scripted_policy(name, env), 800, seed=5).success.double().mean()
-
-    own = rate("repair")
-    assert own > 0.76
-    assert own > rate("careful") + 0.05
-    assert rate("repair", slot_error_prob=0.0) > 0.79
 
 
 def test_it_decides_by_what_is_observed_alone_and_forgets_where_a_dialogue_begins(movie):

@@ -1,7 +1,5 @@
 """Runs that never ran, and the reports on them."""
 
-from __future__ import annotations
-
 import pytest
 from result_folders import make_run
 

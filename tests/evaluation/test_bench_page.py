@@ -1,7 +1,5 @@
 """The page of a benchmark: averages over the settings that all agents have finished, no others."""
 
-from __future__ import annotations
-
 import math
 from itertools import product
 

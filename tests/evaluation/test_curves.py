@@ -1,7 +1,5 @@
 """When agents reached a success rate, and the area under their curves."""
 
-from __future__ import annotations
-
 import math
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Figures show every seed, their mean, and what belongs to a run."""
 
-from __future__ import annotations
-
 import math
 from pathlib import Path
 from unittest.mock import patch

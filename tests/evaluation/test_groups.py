@@ -1,7 +1,5 @@
 """Runs of one setting are a group, whose label tells it from the others."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from types import SimpleNamespace
 

@@ -1,7 +1,5 @@
 """Replicas of one seed, which trained on the same dialogues, are compared by pairs."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

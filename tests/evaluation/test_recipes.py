@@ -1,7 +1,5 @@
 """The recipes of Table 1 and of the ablations are what their reports compare."""
 
-from __future__ import annotations
-
 from dataclasses import asdict
 
 import pytest

@@ -1,7 +1,5 @@
 """Runs are found, compared with the first of them, and reported."""
 
-from __future__ import annotations
-
 import json
 
 import pytest

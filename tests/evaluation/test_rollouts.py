@@ -1,7 +1,5 @@
 """Evaluations play the dialogues that were asked for, and transcripts are of those."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

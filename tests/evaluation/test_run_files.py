@@ -1,7 +1,5 @@
 """result.json and metrics.csv are read as they were written, or refused by name."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from itertools import chain

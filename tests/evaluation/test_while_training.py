@@ -1,7 +1,5 @@
 """Evaluation while training: what it says, what it keeps, and that training does not notice."""
 
-from __future__ import annotations
-
 import dataclasses
 import logging
 import math

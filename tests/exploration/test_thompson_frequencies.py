@@ -11,7 +11,7 @@ from tensordict import TensorDict
 from torchrl.data import Categorical
 
 from bbq_torchrl.bayes import BayesLayer, BayesLinear
-from bbq_torchrl.exploration import EvaluationPolicy, ThompsonSampling
+from bbq_torchrl.exploration import ThompsonSampling
 from bbq_torchrl.networks import q_actor
 
 FEATURES, ACTIONS, DRAWS = 4, 5, 4000
@@ -93,11 +93,3 @@ def test_a_linear_networks_action_is_taken_as_often_as_it_is_the_best(kind, per,
     assert not taken[~mask].any()
     taken, expected = without_rare(taken[mask].tolist(), [DRAWS * p for p in expected])
     assert stats.chisquare(taken, expected, sum_check=False).pvalue > LEAST_P
-
-
-def test_evaluation_by_thompson_sampling_takes_a_custom_layer():
-    net = away_from_the_prior(OwnLayer(FEATURES, ACTIONS, replicas=2))
-    actor = q_actor(net, Categorical(ACTIONS), action_mask_key=None)
-    td = TensorDict(observation=torch.ones(2, 50, FEATURES), batch_size=[2, 50])
-    values = EvaluationPolicy(actor, mode="thompson")(td)["action_value"]
-    assert (values.std(1) > 0).all()

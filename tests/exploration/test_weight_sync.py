@@ -1,12 +1,9 @@
 """Syncing an actor's weights into its policies as TorchRL's trainers and collectors do."""
 
-from copy import deepcopy
-
 import pytest
 import torch
-from q_actor import ACTIONS, bayes_actor, heads_actor, noisy_actor, observations, values
+from q_actor import bayes_actor, heads_actor, noisy_actor, observations, values
 from tensordict import TensorDict
-from tensordict.nn import TensorDictModuleBase
 from torch import nn
 
 from bbq_torchrl.exploration import (
@@ -43,18 +40,6 @@ def weights(module: nn.Module) -> TensorDict:
     return TensorDict.from_module(module).data.clone()
 
 
-class Layer(TensorDictModuleBase):
-    """An actor with a parameter on itself, not in a submodule."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.in_keys, self.out_keys = ["observation"], ["action_value"]
-        self.weight = nn.Parameter(torch.zeros(ACTIONS))
-
-    def forward(self, tensordict):
-        return tensordict.set("action_value", self.weight.expand(*tensordict.batch_size, ACTIONS))
-
-
 @made
 def test_a_policy_names_its_weights_as_its_actor_does(make, wrap):
     actor = make((2,))
@@ -64,14 +49,6 @@ def test_a_policy_names_its_weights_as_its_actor_does(make, wrap):
     assert [name for name, _ in policy.named_parameters()] == names
     ours, theirs = (TensorDict.from_module(module) for module in (policy, actor))
     assert set(ours.keys(True, True)) == set(theirs.keys(True, True))
-
-
-def test_an_actor_that_has_weights_itself_shares_them():
-    policy = Greedy(Layer())
-    copy = deepcopy(policy)
-    TensorDict(weight=torch.ones(ACTIONS)).to_module(copy)
-    assert values(copy, observations(3)).tolist() == [1.0] * 3
-    assert values(policy, observations(3)).tolist() == [0.0] * 3
 
 
 def test_a_policy_and_its_actor_train_and_evaluate_together():

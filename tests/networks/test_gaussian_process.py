@@ -87,16 +87,6 @@ def test_with_all_states_as_inducing_states_it_is_an_exact_gaussian_process(kern
         torch.testing.assert_close(variances[action], variance, rtol=0, atol=1e-3)
 
 
-def test_far_from_the_inducing_states_it_is_the_prior():
-    network = fitted(StateFeatures(FEATURES, 4, kernel="rbf"), episodes())
-    far = torch.full((2, FEATURES), 100.0)
-    assert network(far, "mean").abs().max() < 1e-6
-    torch.testing.assert_close(
-        covariance(network, far).diagonal(dim1=-2, dim2=-1),
-        torch.full((ACTIONS, 2), PRIOR_STD**2),
-    )
-
-
 def test_factors_and_means_are_those_of_one_regression_on_all_weights():
     phi, action, target = torch.randn(30, 4).double(), torch.randint(3, (30,)), torch.randn(30)
     action[action == 1] = 0  # an action without data has its prior

@@ -5,7 +5,6 @@ import torch
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import NoisyLinear, reset_noise
 
-from bbq_torchrl.bayes import weight_scope
 from bbq_torchrl.networks import NoisyMLP, ReplicaNoisyLinear
 
 REPLICAS = [(), (1,), (3,), (2, 3)]
@@ -88,20 +87,9 @@ def test_parameters_start_as_torchrls(replicas):
     assert NoisyMLP(9, 4).layers[0].std_init == NoisyLinear(9, 4).std_init
 
 
-def test_the_exploration_type_decides_where_nothing_else_does():
-    net, x = NoisyMLP(4, 3, (8,)), torch.randn(6, 4)
-    mean = net(x, "mean")
-    assert torch.equal(net(x), mean)
-    with set_exploration_type(ExplorationType.RANDOM):
-        assert not torch.equal(net(x), mean)
-        with weight_scope("mean"):
-            assert torch.equal(net(x), mean)
-
-
 def test_the_layer_shows_its_means_and_has_no_noise_to_reset():
     layer = ReplicaNoisyLinear(4, 3, replicas=(2,))
     layer.apply(reset_noise)  # as TorchRL's trainers do
     with set_exploration_type(ExplorationType.RANDOM):
         assert layer.weight is layer.weight_mu
         assert layer.bias is layer.bias_mu
-    assert "in_features=4, out_features=3, bias=True, replicas=(2,), std_init=0.5" in repr(layer)

@@ -1,7 +1,5 @@
 """DropoutDQNLoss against TorchRL's DQNLoss, NoisyDQNLoss and the TD loss by definition."""
 
-from contextlib import nullcontext
-from copy import deepcopy
 from typing import get_args
 
 import pytest
@@ -19,7 +17,6 @@ from q_transitions import (
     plain_loss,
     transitions,
 )
-from tensordict import TensorDict
 from torch import nn
 from torch.func import functional_call, grad
 from torchrl.data import Categorical
@@ -112,51 +109,6 @@ def test_a_terminal_state_needs_no_legal_action():
     expected = loss(td)["loss"]
     td["next", "action_mask"][:] = False
     assert torch.equal(loss(td)["loss"], expected)
-
-
-# -- replaced parameters -----------------------------------------------------------------------
-
-
-def to_module(loss):
-    """Replaces the parameters within a context, as TensorDicts do."""
-    return TensorDict.from_module(loss).apply(lambda p: p + 1).to_module(loss)
-
-
-def to_targets(loss):
-    """Replaces the parameters of the frozen copy within a context."""
-    target = loss.target_value_network_params.data.apply(lambda p: p + 1)
-    return TensorDict(target_value_network_params=target).to_module(loss)
-
-
-def to_parameters(loss):
-    """Replaces the parameters' data for good, with torch's function."""
-    vector = nn.utils.parameters_to_vector(loss.parameters())
-    nn.utils.vector_to_parameters(vector + 1, loss.parameters())
-    return nullcontext()
-
-
-@pytest.mark.parametrize(
-    ("delay_value", "replace"),
-    [(False, to_module), (False, to_parameters), (True, to_module), (True, to_targets)],
-)
-def test_replaced_parameters_are_used(delay_value, replace):
-    actor = q_actor(FlatMLP(FEATURES, ACTIONS, (8,)), Categorical(ACTIONS))
-    settings = {"delay_value": delay_value}
-    ours, theirs = DropoutDQNLoss(actor, **settings), DQNLoss(deepcopy(actor), **settings)
-    theirs.make_value_estimator(gamma=0.9)
-    if delay_value:
-        for loss in (ours, theirs):
-            HardUpdate(loss, value_network_update_interval=1)
-    td = transitions()
-    found = []
-    for loss in (ours, theirs):
-        before = loss(td)["loss"]
-        with replace(loss):
-            within = loss(td)["loss"]
-        after = loss(td)["loss"]
-        gradient = torch.autograd.grad(after, list(loss.parameters()))
-        found.append([before, within, after, *gradient])
-    torch.testing.assert_close(*found)
 
 
 # -- noise -------------------------------------------------------------------------------------

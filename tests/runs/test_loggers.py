@@ -1,7 +1,5 @@
 """Several logged runs in one process stay separate, each with configuration, rounds and result."""
 
-from __future__ import annotations
-
 import importlib.util
 import json
 import os

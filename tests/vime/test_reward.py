@@ -126,17 +126,6 @@ def test_replicas_do_not_depend_on_one_another_nor_on_padding(weights, lengths, 
     assert reports[0][2].isnan() == (lengths[2] == 0)
 
 
-def test_replicas_are_transforms_side_by_side():
-    td, model = transitions(2, 2, 50), transform((2, 2)).dynamics
-    bonus = transform((2, 2)).inv(td)[BONUS]
-    for place in ((0, 0), (0, 1), (1, 0), (1, 1)):
-        alone = transform()
-        state = model.state_dict().items()
-        own = {k: v if k.endswith("prior_rho") else v[place] for k, v in state}
-        alone.dynamics.load_state_dict(own)
-        torch.testing.assert_close(alone.inv(td[place])[BONUS], bonus[place])
-
-
 def test_the_bonus_is_added_to_the_reward_that_is_read_and_to_no_stored_one():
     memory, other, td = buffer(transform(eta=0.3)), buffer(transform(eta=0.3)), transitions(100)
     memory.extend(td)
