@@ -10,6 +10,7 @@ if __name__ == "__main__":  # before anything that takes time to import
 import json
 import sys
 import time
+from contextlib import suppress
 from os.path import expanduser
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,7 +22,7 @@ from bbq_torchrl.runs.folders import run_config
 from bbq_torchrl.runs.shipped import run_folder
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
-from bbq_torchrl.utils.files import write_text
+from bbq_torchrl.utils.files import RESULT, write_text
 from bbq_torchrl.utils.output import page
 from bbq_torchrl.utils.text import as_typed, shown
 
@@ -67,9 +68,23 @@ def main(arguments: Sequence[str] | None = None) -> int:
         output.write(USAGE)
         return 0
     arguments = take_config_dir(arguments)
-    line = evaluation(composed(arguments))
+    config = composed(arguments)
+    line = evaluation(config)
+    _tell_result(run_folder(config.policy))
     output.write(json.dumps(line) + "\n")
     return 0
+
+
+def _tell_result(folder: Path) -> None:
+    """Prints why the result of a run differs."""
+    from bbq_torchrl.evaluation.run_result import read_result
+
+    with suppress(ValueError):  # a policy without a result, or a damaged one
+        said = read_result(folder)
+        output.print_error(
+            f"{RESULT} has {said.success_rate:.4f} ± {said.standard_error:.4f}, from the "
+            f"{said.dialogues} dialogues of seed {said.seed} at the end of training"
+        )
 
 
 def composed(overrides: Sequence[str]) -> EvaluateConfig:
@@ -142,11 +157,11 @@ def evaluation(config: EvaluateConfig) -> dict[str, Any]:
         "domain": None if domain is None else domain.name,
         "seed": config.seed,
         "success_rate": rate,
-        "standard_error": binomial_standard_error(rate, played.success.numel()),
+        "standard_error": round(binomial_standard_error(rate, played.success.numel()), 4),
         "reward": played.reward.mean().item(),
         "turns": turns / played.success.numel(),
         "dialogues": played.success.numel(),
-        "turns_per_second": turns / seconds,
+        "turns_per_second": round(turns / seconds),
         "success_rate_per_replica": per_replica if replicas > 1 else None,
         "values_per_replica": values if any(values) else None,
         "skipped": None if domain is None else domain.skipped or None,

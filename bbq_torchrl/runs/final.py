@@ -207,31 +207,24 @@ def _versions() -> dict[str, str]:
     }
 
 
-def log_result(config: Config, folder: Path, result: RunResult, tracker: Tracker) -> None:
-    """Logs the final success next to that of scripted and privileged policies."""
+def log_result(config: Config, result: RunResult, tracker: Tracker) -> None:
+    """Logs the final success next to that of the best script and of privileged policies."""
     _LOG.info("%s", _result_line(config, result))
-    _LOG.info("success rate %.4f; everything is in %s", result.success_rate, folder)
     numbers = {f"result/{name}": value for name, value in flat_numbers(result).items()}
     tracker.log_result(numbers, result.rounds)
 
 
 def _result_line(config: Config, result: RunResult) -> str:
-    """Returns the agent's success next to that of scripted (best first) and privileged policies."""
     rates = [item.success_rate for item in result.per_replica]
-    spread = (
-        f", {_short(min(rates))} to {_short(max(rates))} over {len(rates)} replicas"
-        if len(rates) > 1
-        else ""
-    )
+    several = f", {_short(min(rates))} to {_short(max(rates))} over {len(rates)} replicas"
     best = best_script(result.scripted)
-    rated = [
-        (f"best script {name}" if name == best else name, result.scripted[name])
-        for name in sorted(result.scripted, key=lambda name: name != best)
-    ] + [(f"privileged {name}", rate) for name, rate in result.references.items()]
-    others = ", ".join(f"{name.replace('_', ' ')} {_short(rate)}" for name, rate in rated)
+    others = [f"the best script, {best}, {_short(result.scripted[best])}"] if best else []
+    for name, rate in result.references.items():
+        others.append(f"{name}, which reads the hidden goal, {_short(rate)}")
     name = agent_name(dataclasses.asdict(config))
     does = "books {} of dialogues" if config.env.has_domain else "succeeds in {} of episodes"
-    return f"{name} {does.format(_short(result.success_rate))}{spread} ({others})"
+    spread = several if len(rates) > 1 else ""
+    return "; ".join([f"{name} {does.format(_short(result.success_rate))}{spread}", *others])
 
 
 def _short(rate: float) -> str:

@@ -48,6 +48,8 @@ if TYPE_CHECKING:
     from bbq_torchrl.trainers import ReplicaOptimizer, RoundTrainer
     from bbq_torchrl.trainers.round_trainer import RoundCallback
 
+_LOG = logging.getLogger(__name__)
+
 
 def main() -> None:
     """Runs the command line: registers the options, of ``--config-dir`` too, and calls Hydra."""
@@ -100,6 +102,7 @@ def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -
     from bbq_torchrl.runs import build, folders
 
     with folders.run_lock(folder), build.Tracker(config, folder) as tracker:
+        _LOG.info("run folder: %s", folder)
         code = build.checkout()  # at the start, since the code may change during the run
         build.set_up_process(config.threads)
         folders.save_config(dataclasses.replace(config, resume=None), folder / CONFIG)
@@ -126,7 +129,7 @@ def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -
         if config.protocol.keep_checkpoints == "weights":
             trainer.checkpoints.keep_only("loss", "best")
         final.draw_curve(config, folder, result, trainer, domain, spike_policy)  # the last file
-        final.log_result(config, folder, result, tracker)
+        final.log_result(config, result, tracker)
     return result
 
 

@@ -147,7 +147,7 @@ LINES = 40
 
 
 class RoundProgress:
-    """Shows success, reward, KL and remaining time, averaged over the replicas.
+    """Shows success, reward and remaining time, averaged over the replicas.
 
     The bar is shown if stderr is a terminal and no other process of a sweep draws on it. Otherwise
     a line is logged after every round. Training for more than 40 rounds logs at most 40 lines, each
@@ -187,8 +187,6 @@ class RoundProgress:
         shown = {"success": f"{means['success_rate']:.2f}", "reward": f"{means['reward']:.1f}"}
         if evaluated:
             shown["eval"] = evaluated[-1]
-        if "kl" in means:
-            shown["kl"] = f"{means['kl']:.0f}"
         self._bar.set_postfix(shown, refresh=False)
         self._bar.update()
 

@@ -135,11 +135,12 @@ def test_a_run_ends_with_its_success_beside_the_scripted_policies(small, tmp_pat
     assert list(result.scripted) == [*domain.policies, "random"]
     assert list(result.references) == ["clairvoyant"]
     assert result.references["clairvoyant"] > max(result.scripted.values())
-    line = next(text for text in caplog.messages if text.startswith("DQN books "))
-    for name, rate in [*result.scripted.items(), *result.references.items()]:
-        shown = f"{rate:.2f}".lstrip("0") if 0.005 <= rate < 0.995 else f"{rate:.0f}"
-        assert f"{name.replace('_', ' ')} {shown}" in line
+    assert str(tmp_path) in caplog.messages[0]
     best = max(domain.policies, key=lambda name: result.scripted[name])
+    named = {"DQN": result.success_rate, best: result.scripted[best], **result.references}
+    for part, (name, rate) in zip(caplog.messages[-1].split("; "), named.items(), strict=True):
+        assert name in part
+        assert (f"{rate:.2f}".lstrip("0") if 0.005 <= rate < 0.995 else f"{rate:.0f}") in part
     given = [f"policy={best}", "dialogues=1000", "seed=5", "domain=folder"]
     alone = command.evaluation(command.composed([*given, f"domain.path={config.domain.path}"]))
     # 400 dialogues and 1,000 others: at most five standard errors apart.

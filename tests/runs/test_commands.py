@@ -58,8 +58,10 @@ def test_the_result_says_what_ran_and_how_well(commanded):
 @pytest.mark.parametrize("mode", ["mean", "average", "thompson"])
 def test_a_trained_run_is_evaluated_by_every_policy_of_its_posterior(commanded, capsys, mode):
     assert evaluate.main([f"policy={commanded}", "dialogues=25", "batch=10", f"mode={mode}"]) == 0
-    (line,) = capsys.readouterr().out.splitlines()
+    printed = capsys.readouterr()
+    (line,) = printed.out.splitlines()
     answer = json.loads(line)
+    assert f"result.json has {read_result(commanded).success_rate:.4f} ±" in printed.err
     assert (answer["env"], answer["dialogues"], answer["mode"]) == ("domain_ext", 75, mode)
 
 
@@ -99,7 +101,7 @@ def test_a_scripted_policy_is_evaluated_and_its_dialogues_are_written(
     assert (answer["dialogues"], answer["turns"]) == (300, 8)
     assert "privileged" not in answer
     rate = answer["success_rate"]
-    assert answer["standard_error"] == pytest.approx((rate * (1 - rate) / 300) ** 0.5)
+    assert answer["standard_error"] == round((rate * (1 - rate) / 300) ** 0.5, 4)
     # Reward of 8 turns: -1 for the first 7, then 40 or -10.
     assert answer["reward"] == pytest.approx(-7 + 40 * rate - 10 * (1 - rate))
     log = (tmp_path / "dialogues.txt").read_text()

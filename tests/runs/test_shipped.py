@@ -50,7 +50,8 @@ def test_nothing_but_the_result_is_printed_of_weights_saved_with_other_versions(
     evaluate_it = ("-m", "bbq_torchrl.cli.evaluate", f"policy={tmp_path / 'run'}", "dialogues=4")
     out, error = forked.python(*evaluate_it, cwd=tmp_path)
     assert json.loads(out)["dialogues"] == 4
-    assert not error
+    assert error.startswith("result.json has ")
+    assert error.count("\n") == 1
 
 
 def test_a_key_of_the_environment_changes_the_runs_own():
