@@ -26,7 +26,7 @@ def _pattern(text: str) -> re.Pattern[str]:
 
 _ACCEPT = [_pattern(rf"(?<!\S)(?:{text})(?!\S)") for text in _DATA["accept"]]
 _BESIDE = frozenset(_DATA["beside"].split())
-_QUESTION = _pattern(_DATA["question"])
+_QUESTION, _HESITATES = _pattern(_DATA["question"]), _pattern(_DATA["hesitates"])
 _BEFORE = [_pattern(rf"\b(?:{text})\b(?P<x>.*)") for text in _DATA["before"]]
 _AFTER = [_pattern(rf"(?P<x>.*?)(?: |(?='s))(?:{text})(?!\w)") for text in _DATA["after"]]
 _ANY, _AROUND, _EXCEPT = (_pattern(_DATA[name]) for name in ("any", "around", "except"))
@@ -61,8 +61,13 @@ def accepts(text: str) -> bool:
 
 
 def asks(text: str) -> bool:
-    """Returns whether a text asks something, makes a condition, or hesitates."""
+    """Returns whether a text asks something."""
     return _QUESTION.search(_words(text)) is not None
+
+
+def hesitates(text: str) -> bool:
+    """Returns whether a text asks something, makes a condition, or wants time or something else."""
+    return asks(text) or _HESITATES.search(_words(text)) is not None
 
 
 def questions(text: str) -> list[str]:
@@ -151,13 +156,13 @@ def _regions(clause: str) -> Iterator[str]:
 
 def named_slots(words: str, lexicon: Lexicon) -> list[str]:
     """Returns the slots for which some words have a noun, in the order of the words."""
-    found = []
-    for word in words.split():
+    found, said = [], _words(words).split() if words.strip() else []
+    for word in said:
         forms = {word, word.removesuffix("s"), word.removesuffix("es"), f"{word[:-3]}y"} - _VAGUE
         for slot in lexicon.slots:
             phrases = lexicon.phrases.slots[slot]
             last = phrases.name.lower().split()[-1]
-            if forms & {*phrases.nouns, last} and not (word != last and last in words.split()):
+            if forms & {*phrases.nouns, last} and not (word != last and last in said):
                 found.append(slot)
     return found
 

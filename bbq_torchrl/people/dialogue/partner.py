@@ -30,7 +30,10 @@ if TYPE_CHECKING:
 
 
 _MAX_CHOICES, _MAX_NAMED = 5, 4
-_MAX_REFUSED = 4
+_MAX_PROPOSALS = 2
+"""The number of refused proposals after which the agent asks what may change."""
+
+_MAX_DENIED = 4
 """The number of refused offers after which the agent ends the conversation."""
 
 
@@ -172,7 +175,8 @@ class Partner:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
         is_offered = before.state is not None and bool(before.state["offered"])
         reading = self._leaving(reading, text, is_offered)
-        others = "way_out" in rules and moves.asks_for_others(text)
+        is_wish = bool(_values(reading.frame)) and not moves.asks(text)
+        others = "way_out" in rules and moves.asks_for_others(text) and not is_wish
         if before.proposal:
             if moves.accepts(text):
                 reading = Understood(Frame("inform", before.proposal), 1.0)
@@ -190,6 +194,8 @@ class Partner:
             if reading.frame.act == "not_sure" and not reading.unclear:
                 use = "not_on_file" if moves.asks(text) else "stands"
                 return self._say(now, self._nlg.say(use, **words), reading)
+        elif "book" in rules and moves.accepts(text) and self._is_bare(reading.frame):
+            reading = replace(reading, confidence=1.0)
         dropped: tuple[str, ...] = ()
         if "drop" in rules:
             reading, dropped = self._dropped(before, reading, text, question)
@@ -198,8 +204,8 @@ class Partner:
             if found is not None:
                 return found
         if before.asking.asks(self._nlu, reading, self._ask_below):
-            is_unknown = "help" in rules and "?" in text and self._is_bare(reading.frame)
-            if is_unknown and not reading.unclear:
+            is_question = "help" in rules and moves.asks(text) and "?" in text
+            if is_question and not reading.unclear and self._is_bare(reading.frame):
                 return self._say(now, self._nlg.say("unknown_question", **words), reading)
             values = _values(before.asking.joined(reading.frame))
             if reading.unclear or not values or "confirm" not in rules:
@@ -246,19 +252,27 @@ class Partner:
 
         It is "not sure" if it neither accepts nor says anything that can be acted on.
         """
-        frame = reading.frame
+        frame, asks = reading.frame, moves.asks(text)
         assert before.state is not None
         is_repeated = frame.informs.items() <= self._tracking.kept(before.state).items()
         repeats = bool(frame.informs) and is_repeated and not frame.requests and has_yes(text)
-        if moves.accepts(text) or (repeats and not moves.asks(text)):
+        if moves.accepts(text) or (repeats and not moves.hesitates(text)):
             return Understood(Frame("thanks"), 1.0, source=reading.source)
+        if is_no(text):
+            return replace(reading, frame=Frame("deny"), confidence=1.0, unclear=())
         is_vague = self._is_bare(frame) and frame.act not in ("deny", "closing")
-        if (is_vague and not is_no(text)) or (
-            self._nlu.asks(reading) and moves.asks(text) and not frame.informs
-        ):
-            unclear = () if moves.asks(text) else reading.unclear
-            return replace(reading, frame=Frame("not_sure"), unclear=unclear)
-        return reading
+        is_vague = is_vague or (asks and self._nlu.asks(reading) and not frame.informs)
+        if asks and frame.informs and not frame.requests:  # "Do they have wheelchair access?"
+            heard = self._acting.hear(before.state, frame)
+            aside = self._tracking.values(heard["aside"]) if "aside" in heard else {}
+            is_vague = not aside.keys().isdisjoint(frame.informs) or self.control.is_stuck(heard)
+            is_vague = is_vague and not moves.asks_for_others(text)
+        if not is_vague:
+            return reading
+        if named := self._spelling.named(text, self.domain.slots) if asks else ():
+            requests = tuple(slot for slot in frame.requests if slot in named) or named[:1]
+            return Understood(Frame("request", {}, requests), 1.0, source=reading.source)
+        return replace(reading, frame=Frame("not_sure"), unclear=() if asks else reading.unclear)
 
     def _dropped(
         self, before: Memory, reading: Understood, text: str, question: Frame | None
@@ -273,6 +287,9 @@ class Partner:
             if told.get(slot, ANY) in (ANY, held.get(slot))
         )
         if not slots:
+            is_free = bool(told) and set(told.values()) == {ANY}
+            if is_free and "?" in text and not reading.frame.requests:  # "Any discounts?"
+                return replace(reading, frame=Frame("not_sure"), confidence=0.0), ()
             return reading, ()
         informs = {slot: value for slot, value in told.items() if value != ANY}
         frame = replace(reading.frame, informs=informs | dict.fromkeys(slots, ANY))
@@ -291,7 +308,7 @@ class Partner:
         joined = _values(before.asking.joined(reading.frame))
         told = {k: value for k, value in joined.items() if not moves.asks_for_others(value)}
         state = self._acting.hear(before.state, Frame("inform", told))
-        slots = moves.named_slots(" ".join(text.lower().split()), lexicon)
+        slots = moves.named_slots(text, lexicon)
         way = moves.direction(text)
         if not slots and way:
             slots = [slot for slot in lexicon.slots if lexicon.kinds[slot] == "time"]
@@ -331,7 +348,7 @@ class Partner:
             now = replace(now, refused=(*now.refused, before.proposal))
         assert now.state is not None
         change = self.control.records.nearest(full(now.state), self._refused(now))
-        if len(now.refused) >= _MAX_REFUSED:
+        if len(now.refused) >= _MAX_PROPOSALS:
             change = {}
         return self._propose(now, reading, change, words)
 
@@ -396,7 +413,7 @@ class Partner:
             now = replace(now, refused=())
         if is_offered and self._is_bare(understood, "deny"):
             now = replace(now, denied=now.denied + 1)
-            if now.denied >= _MAX_REFUSED:
+            if now.denied >= _MAX_DENIED:
                 sentence, answered = self._nlg.say("no_more", **words), Frame("closing")
                 return Answer(sentence, reading, understood, answered, now, ended="agent")
         if "way_out" in rules:
@@ -415,7 +432,7 @@ class Partner:
         acted = self._acting.reply(before, understood, seed)
         answered, now = acted.answered, replace(now, state=acted.state)
         if is_offered and self._is_bare(understood, "deny") and bool(acted.state["offered"]):
-            names = [slot for slot in self.domain.slots if slot in _values(answered)][:_MAX_NAMED]
+            names = list(_values(self._tracking.kept(acted.state)))[:_MAX_NAMED]
             return self._say(now, self._nlg.say("change", names, **words), reading)
         sentences = [self._nlg.agent(act, kept, **words) for act, kept in acted.parts]
         for slot in acted.aside:
@@ -477,8 +494,10 @@ class Partner:
         """Returns a reading with the questions of each clause, which are read by themselves."""
         asked = dict.fromkeys(reading.frame.requests)
         for clause in moves.questions(text):
-            alone = self._nlu(clause, None).frame.requests
-            asked |= dict.fromkeys(self._spelling.named(clause, alone))
+            named = set(self._spelling.named(clause, self.domain.slots))  # "when" names two
+            if named and named.isdisjoint(asked):
+                alone = self._nlu(clause, None).frame.requests
+                asked |= dict.fromkeys(slot for slot in alone if slot in named)
         if len(asked) == len(reading.frame.requests):
             return reading
         frame = Frame("request", reading.frame.informs, tuple(asked))
