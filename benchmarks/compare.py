@@ -8,7 +8,7 @@
 Updates are counted as users run them: the learning of a trainer on a full replay buffer, with
 freezing, targets, shuffling and batching, divided by its updates and replicas. They are compared
 with the hand-written update of ``parts/yardstick.py``, which runs in turn with them, block by
-block. One thread; other work on the machine disturbs ratios less than times.
+block, in processor time of one thread. The table says which torch a row was measured with.
 """
 
 from __future__ import annotations

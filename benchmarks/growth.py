@@ -21,7 +21,6 @@ from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from time import process_time
 from typing import TYPE_CHECKING
 
 ROOT = Path(__file__).resolve().parent.parent
@@ -35,7 +34,7 @@ from bbq_torchrl.runs.compose import compose  # noqa: E402
 from bbq_torchrl.runs.train import build_trainer  # noqa: E402
 from benchmarks.parts.learning import full_trainer  # noqa: E402
 from benchmarks.parts.simulator import play_simulator  # noqa: E402
-from benchmarks.parts.timing import one_thread, seconds  # noqa: E402
+from benchmarks.parts.timing import cpu_seconds, one_thread, seconds  # noqa: E402
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Sequence
@@ -61,13 +60,6 @@ def buffer(size: int, run: Path) -> float:
     once = (*BBQN, "protocol.freezes=1", "protocol.epochs=1")
     trainer = full_trainer(once, run, replicas=1, capacity=size)
     return seconds(lambda: trainer.learner.learn(0))
-
-
-def cpu_seconds(work: Callable[[], object]) -> float:
-    """Returns the CPU seconds that ``work()`` took: its seconds on an idle core."""
-    started = process_time()
-    work()
-    return process_time() - started
 
 
 def gp(size: int, run: Path) -> float:

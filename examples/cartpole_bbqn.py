@@ -65,7 +65,7 @@ def make_agent(agent: Agent, env: GymEnv, frames: int) -> tuple[Any, Any, Any]:
         dither = EGreedyModule(spec, eps_end=0.05, annealing_num_steps=frames // 4)
         explore = TensorDictSequential(Greedy(actor), dither)
         return actor, explore, DropoutDQNLoss(actor, gamma=GAMMA)
-    network, settings = BayesMLP(4, 2), {}
+    network, settings = BayesMLP(4, 2, prior_std=0.037), {}
     if agent == "bbqn_paper_start":
         network = BayesMLP(4, 2, prior_std=0.1, mean_init="zero", std_init=None)
         settings = {"kl_temperature": 1.0}

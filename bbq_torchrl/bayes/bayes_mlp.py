@@ -34,7 +34,7 @@ class BayesMLP(BayesLayer):
         prior_std: standard deviation of the prior, or "fan_in" for √(2/inputs) in each layer. It
             sets the amount of exploration: under the prior the variance of Q is v₁ = p²(‖x‖² + 1),
             v_{l+1} = p²(n_l v_l / 2 + 1). A tensor [*replicas] sets it for each network.
-            Defaults to 0.037.
+            Defaults to "fan_in", with which Bayes' rule fits data of unit scale.
         mean_init: "kaiming" (uniform in ±1/√inputs, as in ``nn.Linear``), or "zero", as in the
             paper. Defaults to "kaiming".
         std_init: initial standard deviation, a number or a tensor [*replicas]; None, as in the
@@ -48,7 +48,7 @@ class BayesMLP(BayesLayer):
     Examples:
         >>> import torch
         >>> from bbq_torchrl.bayes import BayesMLP
-        >>> net = BayesMLP(268, 39, replicas=5, prior_std="fan_in")
+        >>> net = BayesMLP(268, 39, replicas=5)
         >>> net(torch.ones(5, 32, 268), "draw").shape
         torch.Size([5, 32, 39])
         >>> paper = BayesMLP(268, 39, mean_init="zero", std_init=None)  # starts at the prior
@@ -110,7 +110,7 @@ class BayesLinear(BayesMLP):
     Keyword Args:
         replicas: as in :class:`BayesMLP`.
         prior_std: standard deviation of the prior, or "fan_in" for √(2/in_features). Defaults to
-            0.037.
+            "fan_in".
         mean_init: "kaiming" or "zero". Defaults to "kaiming".
         std_init: initial standard deviation; None for the prior's. Defaults to 0.03.
         device: of the parameters.

@@ -55,7 +55,7 @@ class BayesLayer(nn.Module):
         replicas: the number R of independent layers, or a shape; inputs have it as their
             leading dimensions. Defaults to (), one layer.
         prior_std: standard deviation of the prior, a number, a tensor [*replicas], or "fan_in" for
-            √(2/fan_in) in each group. Defaults to 0.037.
+            √(2/fan_in) in each group. Defaults to "fan_in".
         mean_init: "kaiming" (uniform in ±1/√fan_in, as in torch's layers), or "zero", as in the
             paper. Defaults to "kaiming".
         std_init: initial standard deviation, a number or a tensor [*replicas]; None, as in the
@@ -91,7 +91,7 @@ class BayesLayer(nn.Module):
         fan_in: Sequence[int],
         *,
         replicas: int | Sequence[int] = (),
-        prior_std: float | Tensor | Literal["fan_in"] = 0.037,
+        prior_std: float | Tensor | Literal["fan_in"] = "fan_in",
         mean_init: MeanInit = "kaiming",
         std_init: float | Tensor | None = 0.03,
         device: torch.device | str | None = None,
@@ -223,7 +223,7 @@ class BayesConv2d(BayesLayer):
         replicas: the number R of independent convolutions, or a shape; inputs have it as their
             leading dimensions. Defaults to ().
         prior_std: standard deviation of the prior, a number, a tensor [*replicas], or "fan_in" for
-            √(2/(in_channels · kernel)). Defaults to 0.037.
+            √(2/(in_channels · kernel)). Defaults to "fan_in".
         mean_init: "kaiming" (uniform in ±1/√fan_in, as in ``nn.Conv2d``), or "zero".
             Defaults to "kaiming".
         std_init: initial standard deviation; None for the prior's. Defaults to 0.03.

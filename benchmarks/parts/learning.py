@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-from time import perf_counter
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.envs import scripted_policy
@@ -11,6 +10,7 @@ from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import build_trainer
 from bbq_torchrl.trainers import rollout
 from bbq_torchrl.trainers.collect import rows_per_replica
+from benchmarks.parts.timing import cpu_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Sequence
@@ -59,7 +59,7 @@ def learning_block(
 ) -> Block:
     """Returns a block that learns as in a round: freezing, targets, sampling. Learns once before.
 
-    Its unit is an update and replica.
+    Its unit is an update and replica, timed by the processor's clock.
 
     Args:
         overrides: of the configuration.
@@ -75,12 +75,13 @@ def learning_block(
     new_rows = rows_per_replica(played, trainer.replay.keys)
     numbers = itertools.count(1)
 
-    def block() -> float:
-        started = perf_counter()
+    def learn() -> None:
         if stores:
             trainer.replay.extend(new_rows)
         trainer.learner.learn(next(numbers))
-        return (perf_counter() - started) / sum(trainer.learner.sums.updates)
+
+    def block() -> float:
+        return cpu_seconds(learn) / sum(trainer.learner.sums.updates)
 
     block()
     return block

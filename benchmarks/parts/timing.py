@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 from contextlib import contextmanager
 from statistics import median
-from time import perf_counter
+from time import perf_counter, process_time
 from typing import TYPE_CHECKING, NamedTuple
 from unittest.mock import patch
 
@@ -37,6 +37,13 @@ def seconds(work: Callable[[], object]) -> float:
     started = perf_counter()
     work()
     return perf_counter() - started
+
+
+def cpu_seconds(work: Callable[[], object]) -> float:
+    """Returns the CPU seconds that ``work()`` took: its seconds on an idle core."""
+    started = process_time()
+    work()
+    return process_time() - started
 
 
 def interleaved(base: Block, candidate: Block, repeats: int) -> Comparison:

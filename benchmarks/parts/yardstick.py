@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from benchmarks.parts.timing import seconds
+from benchmarks.parts.timing import cpu_seconds
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -61,6 +61,6 @@ def bare_block(updates: int) -> Block:
         update()
 
     def block() -> float:
-        return seconds(lambda: [update() for _ in range(updates)]) / updates
+        return cpu_seconds(lambda: [update() for _ in range(updates)]) / updates
 
     return block

@@ -21,13 +21,13 @@ from .pages import PAGES, ROOT, commands, snippets
 pytestmark = pytest.mark.slow
 
 AGENT, DOMAIN, PARTS = (ROOT / f"docs/{name}.md" for name in ("your_agent", "your_domain", "parts"))
-BAYESIAN = {"prior_std", "mean_init", "std_init", "noise_std", "kl_temperature"}
+BAYESIAN = {"mean_init", "std_init", "noise_std", "kl_temperature"}
 
 
 @pytest.mark.parametrize(
     "page", [page for page in PAGES if snippets(page, "python")], ids=lambda page: page.name
 )
-def test_python_of_a_page_runs_from_top_to_bottom(page, monkeypatch):
+def test_python_of_a_page_runs_from_top_to_bottom(page, monkeypatch, capsys):
     module = ModuleType(page.stem)
     monkeypatch.setitem(sys.modules, page.stem, module)
     with own_options():  # a page's options are its own
@@ -35,6 +35,16 @@ def test_python_of_a_page_runs_from_top_to_bottom(page, monkeypatch):
             exec(compile(text, str(page), "exec"), vars(module))
     if hasattr(module, "Parrot"):
         assert module.Parrot(None).reply("parrot", None, "bye", seed=0).ended
+    if page == PARTS:
+        (shown,) = (text for text in snippets(page, "text") if text.startswith("RMSE"))
+        (line,) = (line for line in capsys.readouterr().out.splitlines() if line.startswith("RMSE"))
+        assert figures(line) == pytest.approx(figures(shown), abs=0.03)
+
+
+def figures(line):
+    """RMSE and share of the page's regression."""
+    rmse, share = re.search(r"RMSE (.+), truth .* at (.+)% of", line).groups()
+    return float(rmse), float(share) / 100
 
 
 def first(argument):
