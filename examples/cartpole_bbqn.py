@@ -5,7 +5,7 @@
     python examples/cartpole_bbqn.py --agent dqn      # the same loop with DQN, epsilon-greedy
     python examples/cartpole_bbqn.py --frames 500     # only to see it run
 
-BBQN uses the defaults of the Bayesian parts, "bbqn_paper_start" the paper's initial posterior. The
+BBQN has the prior of ``agent=bbqn``, "bbqn_paper_start" the paper's initial posterior. The
 returns of five seeds are in results/cartpole.csv and on docs/parts.md.
 """
 

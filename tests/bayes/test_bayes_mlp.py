@@ -151,7 +151,8 @@ def test_a_network_starts_each_replica_at_its_std_init():
     torch.testing.assert_close(net.posterior.prior_std, stds[:, None])
     started = BayesMLP(3, 2, (4,), replicas=(2,), std_init=stds)
     torch.testing.assert_close(started.posterior.sigma, net.posterior.sigma)
-    assert started.posterior.prior_rho.shape == (1,)
+    by_fan_in = (2 / torch.tensor([3.0, 4.0])).sqrt()  # the default, with which Bayes' rule fits
+    torch.testing.assert_close(started.posterior.prior_std[[0, -1]], by_fan_in)
 
 
 @pytest.mark.parametrize("replicas", [3, (3,), np.int64(3), [np.int64(3)], torch.tensor(3)])

@@ -31,7 +31,7 @@ def definition(loss, td, noises, *, target_noise, kl, noise_std, temperature, ga
     net = loss.value_network[0].module
     mu, rho = flat(loss, "mu"), flat(loss, "rho")
     online_noise, *others = (noise.reshape(mu.shape) for noise in noises)
-    q, prior = Normal(mu, softplus(rho)), Normal(0.0, softplus(net.posterior.prior_rho))
+    q, prior = Normal(mu, softplus(rho)), Normal(0.0, net.posterior.prior_std)
     weights = q.loc + q.scale * online_noise
     frozen = flat(loss, "mu", target=True)
     if target_noise != "mean":
