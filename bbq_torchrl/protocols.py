@@ -139,16 +139,6 @@ class SeesSuccess(Protocol):
         """Receives the share of a round's dialogues that succeeded, float64 [replicas]."""
 
 
-class SeesBuffer(Protocol):
-    """A module that acts by what its replicas have visited."""
-
-    def see_buffer(self, rows: TensorDictBase, /) -> None:
-        """Receives [replicas, rows], shuffled, with ``valid``; called before each round is played.
-
-        It is not called while the buffer is empty. What it keeps need not be saved.
-        """
-
-
 # -- modules of a replay buffer's transform ---------------------------------------------------
 
 

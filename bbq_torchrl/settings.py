@@ -107,7 +107,6 @@ BELOW_ONE = _number("a number from 0 to below 1", lambda value: 0 <= value < 1)
 ABOVE_ZERO_TO_ONE = _number("a number above 0 and up to 1", lambda value: 0 < value <= 1)
 COUNT = integers(1)
 NON_NEGATIVE_INTEGER = integers(0)
-INDUCING = integers(1, 10_000)  # states of a kernel
 SIZE = integers(1, 1_000)  # a factor of the memory use
 BATCH = integers(1, 100_000)
 THREADS = integers(1, 1024)  # torch crashes with many times as many

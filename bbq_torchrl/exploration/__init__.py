@@ -6,7 +6,7 @@ from bbq_torchrl.exploration.annealed import BatchedEGreedy, Boltzmann
 from bbq_torchrl.exploration.base import ActorPolicy
 from bbq_torchrl.exploration.bootstrap import BootstrapSampling, MajorityVote
 from bbq_torchrl.exploration.evaluation import EvaluationPolicy, Greedy
-from bbq_torchrl.exploration.thompson import NoisySampling, ThompsonSampling, VisitDraws
+from bbq_torchrl.exploration.thompson import NoisySampling, ThompsonSampling
 
 __all__ = [
     "ActorPolicy",
@@ -18,5 +18,4 @@ __all__ = [
     "MajorityVote",
     "NoisySampling",
     "ThompsonSampling",
-    "VisitDraws",
 ]

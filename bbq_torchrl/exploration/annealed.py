@@ -10,7 +10,7 @@ from torch import Tensor
 from torchrl.data import TensorSpec
 from torchrl.modules import EGreedyModule
 
-from bbq_torchrl.exploration.base import explores, schedule, set_action
+from bbq_torchrl.exploration.base import explores, schedule
 from bbq_torchrl.networks.q_actor import legal_actions
 
 _WEIGHT = 0.2  # of the last round in the running mean of a replica's success rate
@@ -218,4 +218,7 @@ class Boltzmann(TensorDictModuleBase):
         mask = legal_actions(tensordict, self.action_mask_key)
         if mask is not None:
             logits = torch.where(mask, logits, float("-inf"))
-        return set_action(tensordict, self.action_key, logits)
+        action, greedy = logits.argmax(-1), tensordict.get(self.action_key, None)
+        if greedy is not None and greedy.shape == logits.shape:
+            action = torch.zeros_like(greedy).scatter_(-1, action.unsqueeze(-1), 1)
+        return tensordict.set(self.action_key, action)

@@ -34,14 +34,6 @@ def explores() -> bool:
     return exploration_type() in (ExplorationType.RANDOM, None)
 
 
-def set_action(tensordict: TensorDictBase, key: NestedKey, values: Tensor) -> TensorDictBase:
-    """Replaces the greedy action by that of the highest of ``values`` [*batch, N], in its form."""
-    action, greedy = values.argmax(-1), tensordict.get(key, None)
-    if greedy is not None and greedy.shape == values.shape:
-        action = torch.zeros_like(greedy).scatter_(-1, action.unsqueeze(-1), 1)
-    return tensordict.set(key, action)
-
-
 def schedule(
     start: float | Tensor, end: float | Tensor, annealing_num_steps: int
 ) -> tuple[Tensor, Tensor]:

@@ -1,10 +1,9 @@
-"""Acting on draws: of weights (Thompson sampling), of noise (NoisyNet), of a process of visits."""
+"""Acting on weight draws (Thompson sampling) or noise draws (NoisyNet)."""
 
 from __future__ import annotations
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.nn import TensorDictModuleBase
 from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.modules import QValueActor
@@ -20,12 +19,8 @@ from bbq_torchrl.exploration.base import (
     fit_posteriors,
     forget_draws,
     posterior_sums,
-    set_action,
 )
-from bbq_torchrl.networks.gaussian_process import GaussianProcess
 from bbq_torchrl.networks.noisy_mlp import noisy_layers
-from bbq_torchrl.networks.q_actor import legal_actions, masked
-from bbq_torchrl.settings import ABOVE_ZERO, check
 
 
 class ThompsonSampling(ActorPolicy):
@@ -167,75 +162,3 @@ class NoisySampling(ActorPolicy):
         mode: WeightMode = "draw" if self.shared else "local"
         with weight_scope(mode if explores() else "mean"):
             return self.actor(tensordict)
-
-
-class VisitDraws(TensorDictModuleBase):
-    """Adds to an agent's values a draw of a Gaussian process that knows only what was visited.
-
-    Its posterior is fitted to the states and actions of the replay buffer and not to their targets
-    (:meth:`see_buffer`), so a draw is of mean 0, wide for actions that were not tried, and any
-    network can explore by it. Place it after an actor. It explores under RANDOM and outside of any
-    context, otherwise it leaves the action unchanged.
-
-    Args:
-        process: the process, whose batch is [*replicas]. Its parameters are no part of the
-            module's state, since they follow from the buffer.
-
-    Keyword Args:
-        noise_std: standard deviation of the noise of a visit, in units of Q. Defaults to 3.
-        observation_key: states [*batch, in].
-        action_key: the key of the greedy action, which is replaced.
-        action_value_key: values [*batch, N].
-        action_mask_key: bool [*batch, N], or None for no mask.
-
-    Examples:
-        >>> import torch
-        >>> from tensordict import TensorDict
-        >>> from bbq_torchrl.exploration.thompson import VisitDraws
-        >>> from bbq_torchrl.networks import GaussianProcess
-        >>> from bbq_torchrl.networks.gaussian_process import StateFeatures
-        >>> process = GaussianProcess(StateFeatures(3, inducing=8, replicas=1), 2, prior_std=9.0)
-        >>> explore = VisitDraws(process, noise_std=0.01, action_mask_key=None)
-        >>> td = TensorDict(observation=torch.ones(1, 50, 3), action=torch.zeros(1, 50).long())
-        >>> td = td.auto_batch_size_(2).set("action_value", torch.zeros(1, 50, 2))
-        >>> explore.see_buffer(td)
-        >>> 10 < int(explore(td)["action"].sum()) < 40  # the other action, by its sign
-        True
-    """
-
-    def __init__(
-        self,
-        process: GaussianProcess,
-        *,
-        noise_std: float = 3.0,
-        observation_key: NestedKey = "observation",
-        action_key: NestedKey = "action",
-        action_value_key: NestedKey = "action_value",
-        action_mask_key: NestedKey | None = "action_mask",
-    ) -> None:
-        super().__init__()
-        self.__dict__["process"] = process
-        self.noise_std = check("noise_std", noise_std, ABOVE_ZERO)
-        self.action_key, self.action_mask_key = action_key, action_mask_key
-        self.in_keys = [observation_key, action_value_key]
-        if action_mask_key is not None:
-            self.in_keys.append(action_mask_key)
-        self.out_keys = [action_key]
-
-    def see_buffer(self, rows: TensorDictBase) -> None:
-        """Fits the process of each replica to its transitions [replicas, rows], shuffled."""
-        for replica, own in enumerate(rows):
-            own = own[own["valid"]] if "valid" in own.keys() else own  # noqa: SIM118
-            action = own[self.action_key]
-            index = action if action.ndim == 1 else action.argmax(-1)
-            self.process.visit_(replica, own[self.in_keys[0]], index, self.noise_std)
-
-    @torch.no_grad()
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Writes the action of the highest sum of value and draw, a new draw for every row."""
-        if not explores():
-            return tensordict
-        states, values = (tensordict.get(key) for key in self.in_keys[:2])
-        mask = legal_actions(tensordict, self.action_mask_key)
-        values = masked(values + self.process(states, "local"), mask)
-        return set_action(tensordict, self.action_key, values)

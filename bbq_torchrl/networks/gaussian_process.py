@@ -206,25 +206,6 @@ class GaussianProcess(BayesLayer):
         mean, factor = self._parts()
         return mean.detach()[replica], factor[replica]
 
-    @torch.no_grad()
-    def visit_(self, replica: int, states: Tensor, action: Tensor, noise_std: float) -> Tensor:
-        """Fits a replica's covariance to visited states and actions, whatever their values.
-
-        Args:
-            replica: the replica.
-            states: visited states, [N, in], shuffled: the first different ones are inducing.
-            action: the action taken in each, int64 [N].
-            noise_std: standard deviation of the noise of a value.
-
-        Returns:
-            the features of the states, [N, M].
-        """
-        self.features.choose_(states, replica)
-        phi, _ = self.features_of(replica, states)
-        mean, factor = self.of_replica(replica)
-        factor.copy_(posterior_factors(phi, action, len(mean), self.prior_std, noise_std))
-        return phi
-
     def features_of(self, replica: int, states: Tensor) -> tuple[Tensor, Tensor]:
         """Returns features [N, M] and rest [N, rest] of a replica for states [N, in]."""
         part = slice(replica, replica + 1)
@@ -288,34 +269,3 @@ class GaussianProcess(BayesLayer):
         variance = variance + self.prior_std**2 * rest.square().sum(-1, keepdim=True)
         values = phi @ mean.mT
         return self._shaped(values + variance.sqrt() * torch.randn_like(values), x)
-
-
-def posterior_factors(
-    features: Tensor, action: Tensor, actions: int, prior_std: float, noise_std: float
-) -> Tensor:
-    """Returns F [A, M, M] with Fᵀ F = (I / p² + Σ φ φᵀ / σ²)⁻¹, each action's posterior covariance.
-
-    The sum is over the action's rows. One Cholesky decomposition an action, in float64.
-
-    Args:
-        features: φ, shape [N, M].
-        action: the action of each row, int64 [N].
-        actions: the number A of actions.
-        prior_std: standard deviation p of each weight's prior.
-        noise_std: standard deviation σ of the targets' noise.
-
-    Examples:
-        >>> posterior_factors(torch.ones(3, 1), torch.zeros(3).long(), 2, 1.0, 1.0)
-        tensor([[[0.5000]],
-                [[1.0000]]])
-    """
-    size = features.shape[-1]
-    one = torch.eye(size, dtype=features.dtype, device=features.device)
-    counts = action.bincount(minlength=actions).tolist()
-    factors = features.new_empty(actions, size, size)
-    for number, rows in enumerate(features[action.argsort(stable=True)].split(counts)):
-        precision = (rows.mT @ rows).double() / noise_std**2
-        precision.diagonal().add_(prior_std**-2)
-        root = torch.linalg.cholesky(precision).to(features)
-        torch.linalg.solve_triangular(root, one, upper=False, out=factors[number])
-    return factors

@@ -10,7 +10,7 @@ from torch import Tensor
 from torchrl.data import TensorSpec
 from torchrl.modules import QValueActor
 
-from bbq_torchrl.networks.gaussian_process import GaussianProcess, posterior_factors
+from bbq_torchrl.networks.gaussian_process import GaussianProcess
 from bbq_torchrl.networks.q_actor import legal_actions, masked
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 from bbq_torchrl.objectives.weighting import valid_rows
@@ -138,8 +138,10 @@ class GPLoss(OneStepQLoss):
         index, action = rows["index"], rows["index"].squeeze(-1)
         # the values of the last fit, whose features are other ones
         values = network.features_of(replica, rows["after"])[0] @ mean.mT
-        phi = network.visit_(replica, rows["state"], action, std)
+        network.features.choose_(rows["state"], replica)
+        phi, _ = network.features_of(replica, rows["state"])
         phi_after, rest = network.features_of(replica, rows["after"])
+        factor.copy_(posterior_factors(phi, action, len(mean), network.prior_std, std))
         of_all = torch.zeros_like(action)
         shared = posterior_factors(phi, of_all, 1, self.value_std, std)
         deviation: Tensor | float = 0.0
@@ -155,6 +157,37 @@ class GPLoss(OneStepQLoss):
         chosen = (phi @ mean.mT).gather(-1, index)
         error = target - chosen
         return torch.stack([error.square().mean(), error.abs().mean(), chosen.mean()])
+
+
+def posterior_factors(
+    features: Tensor, action: Tensor, actions: int, prior_std: float, noise_std: float
+) -> Tensor:
+    """Returns F [A, M, M] with Fᵀ F = (I / p² + Σ φ φᵀ / σ²)⁻¹, each action's posterior covariance.
+
+    The sum is over the action's rows. One Cholesky decomposition an action, in float64.
+
+    Args:
+        features: φ, shape [N, M].
+        action: the action of each row, int64 [N].
+        actions: the number A of actions.
+        prior_std: standard deviation p of each weight's prior.
+        noise_std: standard deviation σ of the targets' noise.
+
+    Examples:
+        >>> posterior_factors(torch.ones(3, 1), torch.zeros(3).long(), 2, 1.0, 1.0)
+        tensor([[[0.5000]],
+                [[1.0000]]])
+    """
+    size = features.shape[-1]
+    one = torch.eye(size, dtype=features.dtype, device=features.device)
+    counts = action.bincount(minlength=actions).tolist()
+    factors = features.new_empty(actions, size, size)
+    for number, rows in enumerate(features[action.argsort(stable=True)].split(counts)):
+        precision = (rows.mT @ rows).double() / noise_std**2
+        precision.diagonal().add_(prior_std**-2)
+        root = torch.linalg.cholesky(precision).to(features)
+        torch.linalg.solve_triangular(root, one, upper=False, out=factors[number])
+    return factors
 
 
 def posterior_means(

@@ -13,7 +13,6 @@ from bbq_torchrl.settings import (
     BELOW_ONE,
     BOOLEAN,
     COUNTS,
-    INDUCING,
     NON_NEGATIVE,
     NON_NEGATIVE_INTEGER,
     POSITIVE,
@@ -22,6 +21,7 @@ from bbq_torchrl.settings import (
     STEP_SIZE,
     ConfigError,
     Values,
+    integers,
     one_of,
     option,
     optional,
@@ -258,7 +258,7 @@ class GP(AgentOption):
     """A Gaussian process for each action, fitted in closed form once a round."""
 
     name: str = option("gp")
-    inducing: int = setting(512, INDUCING, "inducing states of the kernel's features")
+    inducing: int = setting(512, integers(1, 10_000), "inducing states of the kernel's features")
     prior_std: float = setting(2.0, POSITIVE, "std of the prior of an action's weights")
     value_std: float = setting(6.0, POSITIVE, "std of the value that all actions share")
     noise_std: float = setting(3.0, POSITIVE, "std of the noise on the target, in units of Q")

@@ -10,7 +10,6 @@ from bbq_torchrl.options.registry import Option, register
 from bbq_torchrl.options.task import annealed_rounds, check_falls, replica_column
 from bbq_torchrl.settings import (
     BOOLEAN,
-    INDUCING,
     POSITIVE,
     PROBABILITY,
     ConfigError,
@@ -169,34 +168,6 @@ class BoltzmannActing(AnnealedOption):
             TensorDictSequential(greedy, boltzmann),
             {"temperature": lambda: boltzmann.temperature.squeeze(-1)},
         )
-
-
-@register
-@dataclass
-class GPActing(ExploreOption):
-    """Greedy on the values plus a draw of a Gaussian process of the visited states and actions."""
-
-    name: str = option("gp")
-    inducing: int = setting(256, INDUCING, "inducing states of the kernel's features")
-    prior_std: float = setting(2.0, POSITIVE, "std of a draw where nothing was visited, unit of Q")
-    noise_std: float = setting(3.0, POSITIVE, "std of the noise of a visit, in units of Q")
-
-    requires: ClassVar[tuple[str, ...]] = ("values",)
-
-    def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
-        """The policy, which writes the values, and a module that adds draws to them."""
-        from tensordict.nn import TensorDictSequential
-
-        from bbq_torchrl.exploration import VisitDraws
-        from bbq_torchrl.networks import GaussianProcess
-        from bbq_torchrl.networks.gaussian_process import StateFeatures
-
-        features = StateFeatures(task.inputs, self.inducing, **task.place)
-        process = GaussianProcess(
-            features, task.actions, prior_std=self.prior_std, device=task.device
-        )
-        draws = VisitDraws(process, noise_std=self.noise_std, action_mask_key=task.action_mask_key)
-        return TensorDictSequential(greedy, draws), {}
 
 
 @register

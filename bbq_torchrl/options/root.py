@@ -14,7 +14,7 @@ from typing import Any
 
 from bbq_torchrl.options.agent import BBQN, DQN, GP, AgentOption
 from bbq_torchrl.options.env import DomainOption, EnvOption, FullDomain
-from bbq_torchrl.options.explore import ExploreOption, GPActing
+from bbq_torchrl.options.explore import ExploreOption
 from bbq_torchrl.options.intrinsic import IntrinsicOption
 from bbq_torchrl.options.logger import LoggerOption
 from bbq_torchrl.options.protocol import ProtocolOption
@@ -168,12 +168,11 @@ def _check_agent(config: Config) -> None:
     agent, capacity = config.agent, config.protocol.capacity
     if isinstance(agent, DQN) and "noise" in config.explore.requires and not agent.noisy:
         raise ConfigError(f"agent.noisy must be true with explore={config.explore.name}, got false")
-    for part in (agent, config.explore):
-        if isinstance(part, GP | GPActing) and part.inducing > capacity:
-            raise ConfigError(
-                f"{part.group}.inducing must be at most protocol.capacity ({capacity}), the "
-                f"transitions to choose them from, got {part.inducing}"
-            )
+    if isinstance(agent, GP) and agent.inducing > capacity:
+        raise ConfigError(
+            f"agent.inducing must be at most protocol.capacity ({capacity}), the transitions to "
+            f"choose them from, got {agent.inducing}"
+        )
     if isinstance(agent, GP) and config.spike.margin:
         raise ConfigError(
             f"spike.margin must be 0 with agent=gp, which learns no margin, got "

@@ -19,7 +19,6 @@ from bbq_torchrl.protocols import (
     Annealed,
     EvaluationHook,
     Resampled,
-    SeesBuffer,
     SeesSuccess,
     enter_round,
     modules_with,
@@ -242,11 +241,6 @@ class RoundTrainer:
 
     def _collect(self, round_number: int) -> dict[str, Tensor]:
         """Plays and stores the round's dialogues, and returns mean statistics, [replicas] each."""
-        for visiting in modules_with(self.policy, SeesBuffer):
-            if min(self.replay.lengths):
-                seed_phase(self.seed, self.replay, "see", round_number)
-                (batch,) = self.replay.epoch(max(self.replay.lengths))
-                visiting.see_buffer(batch.transitions)
         self._begin_phase("collect", round_number)
         for module in modules_with(self.policy, Resampled):
             module.resample()

@@ -63,6 +63,19 @@ def _width() -> str:
     )
 
 
+@block("results.visits")
+def _visits() -> str:
+    """Returns what DQN books early by a process of what was visited, next to other explorers."""
+    own = [float(row["booked_1000"]) for row in read_csv("visits.csv")]
+    rows = [("DQN and the process", estimate(own), EMPTY)]
+    for name, agent in (("DQN", "dqn"), ("DQN-Boltzmann", "dqn_boltzmann"), ("BBQN", "bbqn")):
+        other = group(f"searched/{agent}_default").booked(EARLY)
+        rows.append((name, estimate(other), paired(own, other)))
+    return table(
+        ("agent", f"booked of the first {EARLY:,}", "the process minus it"), rows, numbers=2
+    )
+
+
 @block("learning.tried", "tried.csv", "success_rate", "final")
 @block("learning.early", "tried_early.csv", "evaluation_20", "after 20 rounds")
 @block("learning.targets", "tried_targets.csv", "late_success", "rounds 26 to 30")

@@ -26,7 +26,7 @@ TINY = (
 )
 CONFIGURATIONS = {
     "bbqn": ("agent=bbqn", "env=domain_ext", "env.start=1", "env.every=1"),
-    "replicas": ("agent=bbqn", "explore=gp", "explore.inducing=8", "replicas=3"),
+    "replicas": ("agent=bbqn", "explore=thompson_epsilon", "replicas=3"),
     "bootstrap": ("agent=bootstrap",),
     "vime": ("agent=dqn", "intrinsic=vime", "intrinsic.hidden=[8]"),
     "boltzmann": (

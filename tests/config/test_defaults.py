@@ -15,7 +15,6 @@ from bbq_torchrl.exploration import (
     EvaluationPolicy,
     NoisySampling,
     ThompsonSampling,
-    VisitDraws,
 )
 from bbq_torchrl.networks import BootstrapMLP, FlatMLP, GaussianProcess
 from bbq_torchrl.networks.gaussian_process import StateFeatures
@@ -30,7 +29,6 @@ PARTS = {
     agent.GP: (StateFeatures, GaussianProcess, GPLoss),
     agent.DQN: (FlatMLP, DropoutDQNLoss, ReplicaAdam),
     explore.BoltzmannActing: (Boltzmann,),
-    explore.GPActing: (VisitDraws,),
     explore.Thompson: (ThompsonSampling,),
     explore.BootstrapActing: (BootstrapSampling,),
     explore.NoisyActing: (NoisySampling,),

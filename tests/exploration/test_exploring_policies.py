@@ -1,6 +1,5 @@
 """All policies and those of evaluation: their actions, and errors."""
 
-import math
 from copy import deepcopy
 
 import pytest
@@ -30,17 +29,10 @@ from bbq_torchrl.exploration import (
     MajorityVote,
     NoisySampling,
     ThompsonSampling,
-    VisitDraws,
 )
-from bbq_torchrl.networks import FlatMLP, GaussianProcess, bootstrap_actor, q_actor
-from bbq_torchrl.networks.gaussian_process import StateFeatures
+from bbq_torchrl.networks import FlatMLP, bootstrap_actor, q_actor
 
 RANDOM, DETERMINISTIC = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
-
-
-def visit_draws(replicas, **settings):
-    features = StateFeatures(FEATURES, 8, replicas=replicas)
-    return VisitDraws(GaussianProcess(features, ACTIONS, prior_std=2.0), **settings)
 
 
 def policies(replicas, spec=SPEC):
@@ -52,7 +44,6 @@ def policies(replicas, spec=SPEC):
         "epsilon": TensorDictSequential(Greedy(actor), epsilon),
         "thompson epsilon": TensorDictSequential(ThompsonSampling(actor), epsilon),
         "boltzmann": TensorDictSequential(Greedy(actor), Boltzmann(5.0, 1.0, 10)),
-        "visits": TensorDictSequential(Greedy(actor), visit_draws(replicas)),
         "noisy epsilon": TensorDictSequential(NoisySampling(noisy), epsilon),
         "vote": MajorityVote(heads),
         "vote epsilon": TensorDictSequential(MajorityVote(heads), epsilon),
@@ -115,25 +106,6 @@ def test_dropout_is_off_under_every_exploration_type(policy, exploration):
         actor = bootstrap_actor(nn.Sequential(net, nn.Unflatten(-1, (1, -1))), SPEC)
     expected = net(td["observation"], "mean")[:, 2].detach()
     torch.testing.assert_close(values(policy(actor), td, exploration), expected)
-
-
-def test_an_action_is_tried_by_how_seldom_it_was_taken_where_it_is_worth_less():
-    """A state that a replica has seen n times: the posterior of a single number, by Bayes."""
-    rows, value, visits = 20_000, 1.5, (4, 40)
-    explore, td = visit_draws((2,), noise_std=3.0), observations(2, rows)
-    td["action_mask"] = torch.tensor([1, 0, 1, *[0] * (ACTIONS - 3)]).bool().expand(2, rows, -1)
-    td["action_value"] = torch.tensor([value, 9, 0, *[9.0] * (ACTIONS - 3)]).expand(2, rows, -1)
-    td["action"] = torch.zeros(2, rows).long()
-    seen = td[:, : max(visits)].clone()
-    seen["valid"] = torch.arange(max(visits)) < torch.tensor(visits).unsqueeze(-1)
-    explore.see_buffer(seen)
-    tried = explore(td.clone())["action"].bool().float().mean(-1)
-    for share, count in zip(tried.tolist(), visits, strict=True):
-        spread = math.hypot(2.0, (2.0**-2 + count * 3.0**-2) ** -0.5)
-        expected = 0.5 * math.erfc(value / spread / 2**0.5)
-        assert share == pytest.approx(expected, abs=5 * (0.25 / rows) ** 0.5)
-    with set_exploration_type(DETERMINISTIC):
-        assert not explore(td)["action"].any()
 
 
 def test_draws_are_the_papers_by_default():

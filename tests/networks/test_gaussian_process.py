@@ -9,9 +9,9 @@ from torchrl.data import Categorical
 
 from bbq_torchrl.bayes import weight_scope
 from bbq_torchrl.networks import GaussianProcess, q_actor
-from bbq_torchrl.networks.gaussian_process import StateFeatures, posterior_factors
+from bbq_torchrl.networks.gaussian_process import StateFeatures
 from bbq_torchrl.objectives import GPLoss
-from bbq_torchrl.objectives.gp_loss import posterior_means
+from bbq_torchrl.objectives.gp_loss import posterior_factors, posterior_means
 
 FEATURES, ACTIONS, ROWS = 5, 3, 40
 PRIOR_STD, NOISE_STD, VALUE_STD = 1.5, 0.7, 2.5

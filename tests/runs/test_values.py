@@ -42,7 +42,6 @@ CASES = {
         f"agent=bbqn agent.std_init=.02 explore=thompson_epsilon {ANNEALED} {GROWING}",
         STDS | {"explore.eps_init": [0.9, 0.3]},
     ),
-    "visits": (f"agent=dqn explore=gp explore.inducing=8 {GROWING}", GAMMAS),
     "bootstrap": ("agent=bootstrap", GAMMAS),
     "noisy": ("agent=dqn explore=noisy agent.noisy=true agent.dropout=0", GAMMAS),
     "DQN": (f"agent=dqn {ANNEALED}", GAMMAS | OF_DQN),
