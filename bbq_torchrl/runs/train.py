@@ -28,6 +28,7 @@ from bbq_torchrl.runs.compose import quoted, take_config_dir, train_command
 from bbq_torchrl.runs.folders import config_fingerprint
 from bbq_torchrl.runs.prepare import final_config
 from bbq_torchrl.runs.sweeps import run_job
+from bbq_torchrl.runs.usage import usage
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.files import CONFIG
 from bbq_torchrl.utils.text import sentence
@@ -56,7 +57,10 @@ def main() -> None:
     output.escape()
     logging.raiseExceptions = False  # a full disk is reported once, not for every message
     with output.refusals():
-        take_config_dir(sys.argv[1:])
+        arguments = take_config_dir(sys.argv[1:])
+        if {"-h", "--help"} & {*arguments}:
+            output.write(usage([word for word in arguments if not word.startswith("-")]))
+            return
         register_options()
     try:
         hydra_main()

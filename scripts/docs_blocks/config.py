@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import inspect
-import json
 import re
-from dataclasses import MISSING, Field, fields
+from dataclasses import Field, fields
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.options import CalibrateConfig, Config, EvaluateConfig, explorations, schemas
 from bbq_torchrl.options.registry import EXPERIMENT, conf_folder, options
 from bbq_torchrl.options.root import defaults
 from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.usage import default as written, summary
 from bbq_torchrl.search.definition import SEARCH, SearchConfig
 from bbq_torchrl.settings import REQUIRED
 from scripts.docs_blocks.common import block, code, table
@@ -34,10 +33,7 @@ def _keys(schema: type, prefix: str = "") -> str:
 def _group(group: str) -> str:
     """Returns a summary of each option, and a table of all keys with each option's default."""
     known = {name: schemas()[group][name] for name in options(group)}
-    meaning = {
-        name: (inspect.getdoc(schema) or "").split("\n\n")[0] for name, schema in known.items()
-    }
-    summaries = [f"- `{group}={name}`: {' '.join(text.split())}" for name, text in meaning.items()]
+    summaries = [f"- `{group}={name}`: {summary(schema)}" for name, schema in known.items()]
     shown = _table(known, f"{group}.")
     return "\n".join(summaries) + f"\n\n{shown}"
 
@@ -76,14 +72,8 @@ def _allowed(item: Field[Any]) -> str:
 
 
 def _default(item: Field[Any]) -> str:
-    written = _written(item)
-    return "none: must be given" if written == REQUIRED else code(written)
-
-
-def _written(item: Field[Any]) -> str:
-    """Returns a key's default as YAML."""
-    value = item.default if item.default_factory is MISSING else item.default_factory()
-    return str(value) if isinstance(value, str) else json.dumps(value)
+    text = written(item)
+    return "none: must be given" if text == REQUIRED else code(text)
 
 
 def option_files() -> dict[Path, str]:
@@ -99,9 +89,8 @@ def option_files() -> dict[Path, str]:
 
 def _option_file(schema: type[Option]) -> str:
     place = f"{schema.__module__.replace('.', '/')}.py"
-    summary = " ".join((inspect.getdoc(schema) or "").split("\n\n")[0].split())
     lines = [
-        f"# {summary}",
+        f"# {summary(schema)}",
         f"# The keys of {schema.__qualname__} in {place}; written by scripts/write_docs.py.",
         "defaults:",
     ]
@@ -111,7 +100,7 @@ def _option_file(schema: type[Option]) -> str:
     lines.append("")
     for item in fields(schema):
         comment = "" if item.name == "name" else f"  # {item.metadata['meaning']}"
-        lines.append(f"{item.name}: {_written(item)}{comment}")
+        lines.append(f"{item.name}: {written(item)}{comment}")
     return "\n".join(lines) + "\n"
 
 

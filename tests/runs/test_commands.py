@@ -19,6 +19,8 @@ from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation.rollouts import evaluate as evaluate_policy
 from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.runs.train import main as train_main
+from bbq_torchrl.runs.usage import usage
+from bbq_torchrl.settings import ConfigError
 
 from .trusted import SMALL
 
@@ -158,10 +160,32 @@ def test_a_loss_that_is_not_finite_stops_the_run_with_its_state_saved(tmp_path):
     assert not (tmp_path / "run" / "result.json").exists()
 
 
-def test_help_shows_groups_and_keys_without_importing_torch(tmp_path):
+@pytest.mark.parametrize(
+    ("word", "told"),
+    [
+        ("agent", {"agent=dqn", "agent=gp", "agent.double=false", "agent.noise_std="}),
+        ("agent=dqn", {"agent=dqn", "agent.double=false"}),
+        ("agent.double", {"agent.double=false"}),
+        ("seed=3", {"seed=0"}),
+    ],
+)
+def test_help_tells_the_meaning_of_a_word(word, told):
+    lines = usage([word]).splitlines()
+    assert all(any(line.strip().startswith(text) for line in lines) for text in told)
+    assert any("agent=gp" in line for line in lines) == ("agent=gp" in told)
+    assert all(len(line.split(None, 1)[1]) > 10 for line in lines)
+
+
+def test_help_refuses_what_is_no_word_of_the_command():
+    with pytest.raises(ConfigError, match=r"agent\.units"):
+        usage(["agent.units"])
+
+
+def test_help_shows_groups_and_options_without_importing_torch(tmp_path):
     out, imported = forked.python("-X", "importtime", TRAIN, "--help", cwd=tmp_path)
-    assert "agent=" in out
-    assert "protocol:" in out
+    assert "protocol=" in out
+    assert "  quick " in out
+    assert "agents/" in out
     assert "hydra" in imported
     assert "torch" not in imported.replace("bbq_torchrl", "")
     assert not list(tmp_path.iterdir())
