@@ -10,7 +10,6 @@ import torch
 
 from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT, Frame
 from bbq_torchrl.people.language.asking import OPENING, Unclear, asked_slot
-from bbq_torchrl.people.language.quantities import COUNT_WORDS
 from bbq_torchrl.people.language.words import (
     ENGLISH,
     OUTSIDE,
@@ -18,7 +17,6 @@ from bbq_torchrl.people.language.words import (
     Span,
     compact,
     spans_of,
-    word_set,
 )
 
 if TYPE_CHECKING:
@@ -30,16 +28,13 @@ if TYPE_CHECKING:
 _LONGEST = 8  # words of a name
 _SHORT = 4  # words of an answer that may be just a name
 _LEAST_LETTERS = 4  # "ok" is Oklahoma only if it is tagged so
-_FAINT = 0.1  # of a don't-care
-_DOUBTFUL = 0.8  # of limits/crowded_dev.txt .019 of the values are dropped; at .5 it is .035
 
 _PLACES = ("first former 1st 1 one", "second 2nd 2 two", "third 3rd 3", "fourth 4")
 _ORDER = {word: at for at, words in enumerate(_PLACES) for word in words.split()}
 _ORDER |= {"last": -1, "latter": -1}
-_CORRECTS = word_set("corrects")
-_ANY_OF = [re.compile(pattern) for pattern in ENGLISH["any_of"]]
 
 _NOT = ("no", "not", "except")
+_ANY_OF = [re.compile(pattern) for pattern in ENGLISH["any_of"]]
 _CLAUSE = re.compile(r"[^\w' ]")  # a mark that ends a clause
 _MAX_BEFORE, _MAX_AFTER = 8, 6  # words
 _DENIED_BEFORE, _DENIED_AFTER = (
@@ -71,21 +66,17 @@ def assemble(
     is_short = len(words) <= _SHORT and "?" not in words
     if is_short and asked in lexicon.slots and lexicon.link(asked, " ".join(words)).is_exact:
         spans = [Span(asked, 0, len(words))]  # "LA" is the city or the state asked for.
-    elif act != "closing":  # "Not today then, bye."
+    else:
         is_bare = act == "inform" and not spans  # though it must name something
         spans += _missed(words, reading, asked, is_bare, lexicon)
         spans.sort(key=lambda span: span.start)
-    informs, unclear = values_of(words, spans, question, lexicon)
+    informs, unclear = values_of(words, spans, lexicon)
     sure = math.log(max(reading.tags_chance, 1e-9)) + math.log(max(1 - reading.foreign, 1e-9))
-    if not (informs or unclear):
-        if reading.foreign > 0.5:
-            act = "not_sure" if "not_sure" in lexicon.domain.acts else "inform"
-            return Frame(act), (), sure
-        name = " ".join(word for word in words if word not in POLITE)
-        is_silent = max(reading.dont_care.max(), reading.requests.max()) < 0.5
-        can_name = len(words) <= _SHORT and lexicon.kinds.get(asked or "") == "text"
-        if asked and name and act == "inform" and is_silent and can_name:
-            unclear = (Unclear(asked, name),)  # an answer of unknown words is an unknown name
+    is_answer = act == "inform" and is_short and lexicon.kinds.get(asked or "") == "text"
+    if asked and is_answer and not (informs or unclear) and reading.foreign < 0.5:
+        name = [at for at, word in enumerate(words) if word not in POLITE]
+        if any(reading.is_unknown[at] for at in name):  # an answer of unknown words is a name
+            unclear = (Unclear(asked, " ".join(words[at] for at in name)),)
     frames = _allowed(words, reading, question, lexicon, informs, unclear)
     frame, chance = max(frames, key=lambda item: item[1])
     likelier = torch.cat([reading.requests, reading.dont_care])
@@ -155,8 +146,8 @@ def _missed(
 ) -> list[Span]:
     """Returns full names that the tagger passed over.
 
-    They are denied, in words that it is unsure about, or anywhere in a sentence that is ``is_bare``
-    of values, in which ``asked`` is the slot of what several slots have.
+    They are beside an "or", or anywhere in a sentence that is ``is_bare`` of values, in which
+    ``asked`` is the slot of what several slots have.
     """
     found: list[Span] = []
     tags = list(reading.tags)
@@ -174,14 +165,8 @@ def _missed(
             is_short = kind == "text" and len(name) < _LEAST_LETTERS and name.isalpha()
             if is_short or (kind == "count" and slot != asked):
                 continue
-            is_doubtful = min(reading.each_chance[start:end]) < _DOUBTFUL
-            beside = (*words[max(start - 1, 0) : start], *words[end : end + 1])
-            if (
-                is_bare
-                or "or" in beside  # "Seattle or Portland"
-                or is_denied(words, start, end)
-                or (is_doubtful and slot not in reading.tags)
-            ):
+            # "Seattle or Portland"
+            if is_bare or "or" in (*words[max(start - 1, 0) : start], *words[end : end + 1]):
                 found.append(Span(slot, start, end))
                 tags[start:end] = [slot] * size
     return found
@@ -201,58 +186,26 @@ def _mentions(
     """Returns the mentions of each slot, in the order of the sentence."""
     found: dict[str, list[_Mention]] = {}
     for slot, start, end in spans:
-        if lexicon.kinds[slot] == "count":
-            start, end = _whole_party(slot, words, start, end, lexicon)
         text = " ".join(words[start:end])
         if lexicon.link(slot, text).score < 1.0:
-            # A name in full is of its slot whatever was tagged, and names the value by itself.
+            # A name in full is of its slot whatever was tagged.
             slot = lexicon.only_slot(text) or slot
-            start, end = _name_within(slot, words, start, end, lexicon)
+            while start + 1 < end and words[start] in _NOT:
+                start += 1
             text = " ".join(words[start:end])
         denied = is_denied(words, start, end, is_first=slot not in found)
         found.setdefault(slot, []).append(_Mention(text, lexicon.link(slot, text), denied))
     return found
 
 
-def _name_within(
-    slot: str, words: Sequence[str], start: int, end: int, lexicon: Lexicon
-) -> tuple[int, int]:
-    """Returns the longest full name in a part of the sentence, else the part without a "not"."""
-    while start + 1 < end and words[start] in _NOT:
-        start += 1
-    if lexicon.kinds[slot] == "text":
-        for size in range(end - start, 0, -1):
-            for at in range(start, end - size + 1):
-                if lexicon.link(slot, " ".join(words[at : at + size])).is_exact:
-                    return at, at + size
-    return start, end
-
-
-def _whole_party(
-    slot: str, words: Sequence[str], start: int, end: int, lexicon: Lexicon
-) -> tuple[int, int]:
-    """Returns the full extent of a number of people: "with my two" brothers is three."""
-    first, last = start, end
-    while first > 0 and words[first - 1] in COUNT_WORDS:
-        first -= 1
-    while last < len(words) and words[last] in COUNT_WORDS:
-        last += 1
-    for at in range(first, start + 1):
-        for stop in range(last, end - 1, -1):
-            if words[at] != "of" and len(lexicon.link(slot, " ".join(words[at:stop])).values) == 1:
-                return at, stop
-    return start, end
-
-
 def values_of(
-    words: Sequence[str], spans: Sequence[Span], question: Frame, lexicon: Lexicon
+    words: Sequence[str], spans: Sequence[Span], lexicon: Lexicon
 ) -> tuple[dict[str, str], tuple[Unclear, ...]]:
     """Returns the values by slot, and the unclear words.
 
     Args:
         words: the words of the sentence.
         spans: the words that name values, in order.
-        question: the agent's last act.
         lexicon: the domain's values.
     """
     informs: dict[str, str] = {}
@@ -260,12 +213,11 @@ def values_of(
     for slot, mentions in _mentions(words, spans, lexicon).items():
         wanted = [mention for mention in mentions if not mention.is_denied]
         if not wanted:
-            if slot not in question.informs:
-                unclear.append(Unclear(slot, mentions[-1].text, is_denied=True))
+            unclear.append(Unclear(slot, mentions[-1].text, is_denied=True))
             continue
         known = [mention.link for mention in wanted if mention.link.values]
-        if len(known) > 1 and not _CORRECTS.isdisjoint(words):
-            known = known[-1:]
+        if "or" not in words:
+            known = known[-1:]  # "Friday, no wait, Saturday"
         keys = {lexicon.key(slot, value): value for link in known for value in link.values}
         if len(keys) == 1:
             (informs[slot],) = keys.values()
@@ -296,8 +248,6 @@ def _allowed(
     asked = asked_slot(question)
     if asked in free and (slot := _named_as_free(words, asked, lexicon)) in open_:
         free = {slot: ANY}
-    likely_free = max(open_, key=lambda slot: cares[slot], default="")
-    is_silent = not (informed or unclear or free) and question != OPENING
     is_offer = domain.complete_slot in question.informs
     may_ask = {"deny", "closing", *(["thanks"] if is_offer else [])}
     likely = max((slot for slot in asks if slot not in informed), key=lambda slot: asks[slot])
@@ -308,9 +258,6 @@ def _allowed(
             yield Frame(act, informed | free, requests or (likely,)), chance + forced
         elif act == "inform" and requests and question == OPENING:
             continue  # Asking is what it does first.
-        elif act == "inform" and is_silent and cares.get(likely_free, 0.0) > _FAINT:
-            # An answer that names nothing does not care.
-            yield Frame(act, {likely_free: ANY}, requests), chance + _odds(cares[likely_free])
         elif act == "inform":
             yield Frame(act, informed | free, requests), chance
         elif act == "confirm_question":

@@ -89,8 +89,17 @@ class Lexicon:
             self._by_key[slot] = defaultdict(list)
             for value in values:
                 self._by_key[slot][self.keys[slot][value]].append(value)
+        self._plurals = {
+            slot: {plural: key for text, key in keys.items() if (plural := _plural(text))}
+            if self.kinds[slot] == "text"
+            else {}
+            for slot, keys in self.keys.items()
+        }
         self._names = {
-            slot: {compact(text): key for text, key in reversed(keys.items())}
+            slot: {
+                compact(text): key
+                for text, key in (*self._plurals[slot].items(), *reversed(keys.items()))
+            }
             for slot, keys in self.keys.items()
         }
         self._exact = {
@@ -141,7 +150,10 @@ class Lexicon:
     @cached_property
     def names(self) -> dict[str, set[tuple[str, ...]]]:
         """All names of each slot's values, split into words."""
-        return {slot: {tuple(tokenize(text)) for text in keys} for slot, keys in self.keys.items()}
+        return {
+            slot: {tuple(tokenize(text)) for text in (*keys, *self._plurals[slot])}
+            for slot, keys in self.keys.items()
+        }
 
     def spelling(self, slot: str, key: str) -> str:
         """Returns the most frequent spelling of a key."""
@@ -282,6 +294,14 @@ class _Names:
             word, list(self._weight), scorer=similarity, score_cutoff=0.72, limit=3
         )
         return {other: score for other, score, _ in near if len(other) > 2}
+
+
+def _plural(name: str) -> str:
+    """Returns the plural of a name; empty for a short one, and one that may be a plural."""
+    word = name.split()[-1]
+    if len(word) < 4 or not word[-3:].isalpha() or word.endswith("s"):
+        return ""
+    return f"{name[:-1]}ies" if word[-1] == "y" and word[-2] not in "aeiou" else f"{name}s"
 
 
 def _importance(word: str) -> float:

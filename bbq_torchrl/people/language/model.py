@@ -8,7 +8,7 @@ from __future__ import annotations
 import tempfile
 from collections import Counter
 from dataclasses import dataclass, replace
-from itertools import chain, pairwise
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -19,7 +19,7 @@ from torch.nn import functional
 from bbq_torchrl.domains.frames import Frame
 from bbq_torchrl.people.language.asking import FOREIGN, asked_slot
 from bbq_torchrl.people.language.sentence_features import UNKNOWN, Features
-from bbq_torchrl.people.language.words import BREAKS, OUTSIDE
+from bbq_torchrl.people.language.words import OUTSIDE
 from bbq_torchrl.utils.extras import needed
 
 if TYPE_CHECKING:
@@ -27,8 +27,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.people.language.corpus import Example
     from bbq_torchrl.people.language.lexicon import Lexicon
-
-_NAMELESS = 0.6  # an unknown word is part of a name unless that is this unlikely
 
 
 class Tagger:
@@ -69,23 +67,14 @@ class Tagger:
             trainer.train(str(path))
             return cls(path.read_bytes())
 
-    def __call__(
-        self, rows: Sequence[Sequence[str]], is_unknown: Sequence[bool]
-    ) -> tuple[list[str], float, list[float]]:
-        """Returns the best tags of a sentence, their probability, and that of each tag.
+    def __call__(self, rows: Sequence[Sequence[str]]) -> tuple[list[str], float]:
+        """Returns the best tags of a sentence, and their probability.
 
         Args:
             rows: the features of each word, at least one.
-            is_unknown: whether each word is unknown. An unknown word is part of a name unless that
-                is unlikely.
         """
         tags = self._tagger.tag(rows)
-        for at in (at for at, tag in enumerate(tags) if tag == OUTSIDE and is_unknown[at]):
-            if self._tagger.marginal(OUTSIDE, at) < _NAMELESS:
-                slots = (slot for slot in self._tagger.labels() if slot != OUTSIDE)
-                tags[at] = max(slots, key=lambda slot: self._tagger.marginal(slot, at))
-        each = [self._tagger.marginal(tag, at) for at, tag in enumerate(tags)]
-        return tags, self._tagger.probability(tags), each
+        return tags, self._tagger.probability(tags)
 
 
 _WIDTH = 48
@@ -198,10 +187,6 @@ def train_intents(
     return net.eval()
 
 
-_MAX_CLAUSES = 6
-_SURE = 0.75  # of a question in one clause alone
-
-
 @dataclass(frozen=True)
 class Reading:
     """The output of the learned parts for one sentence.
@@ -209,17 +194,16 @@ class Reading:
     Attributes:
         tags: the best tag of each word.
         tags_chance: their probability.
-        each_chance: the probability of each tag.
+        is_unknown: whether each word is neither of a name nor of the training sentences.
         acts: the log-probability of each act, ``[A]``.
         requests: the probability that each slot is asked for, ``[S]``.
         dont_care: the probability that each slot does not matter, ``[S]``.
-        foreign: the probability that the sentence is out of domain; with several clauses, its mean
-            with that of the first.
+        foreign: the probability that the sentence is out of domain.
     """
 
     tags: list[str]
     tags_chance: float
-    each_chance: list[float]
+    is_unknown: list[bool]
     acts: torch.Tensor
     requests: torch.Tensor
     dont_care: torch.Tensor
@@ -239,53 +223,20 @@ class Model:
         self, words: Sequence[str], question: Frame, capitals: frozenset[str] = frozenset()
     ) -> Reading:
         """Returns the reading of a sentence of at least one word."""
-        tags, chance, each = _tagged(self.tagger, self.features, words, question, capitals)
-        parts = [(words, tags), *_clauses(words, tags)]
-        named = [self.features.of_sentence(*part, question) for part in parts]
-        acts, requests, dont_care = self.net(*self.net.encode(named))
+        tags, chance = self.tagger(self.features.of_words(words, question, capitals))
+        named = self.features.of_sentence(words, tags, question)
+        acts, requests, dont_care = self.net(*self.net.encode([named]))
         slot = asked_slot(question)
         asked = self.net.slots.index(slot) if slot in self.net.slots else None
-        asks = _of_slots(requests[0], asked)
-        for row in requests[1:]:
-            clause = _of_slots(row, None)  # counts only where it is sure
-            asks = torch.where(clause > _SURE, torch.maximum(asks, clause), asks)
         return Reading(
             tags,
             chance,
-            each,
-            # By the labeling guide, the act of a sentence is that of its first clause.
-            acts[:, :-1].log_softmax(-1)[:2].mean(0).log_softmax(-1),
-            asks,
+            [self.features.spelled(word) == UNKNOWN for word in words],
+            acts[0, :-1].log_softmax(-1),
+            _of_slots(requests[0], asked),
             _of_slots(dont_care[0], asked),
-            acts[:2].softmax(-1)[:, -1].mean().item(),
+            acts[0].softmax(-1)[-1].item(),
         )
-
-
-def _tagged(
-    tagger: Tagger,
-    features: Features,
-    words: Sequence[str],
-    question: Frame,
-    capitals: frozenset[str] = frozenset(),
-) -> tuple[list[str], float, list[float]]:
-    """Returns the result of :meth:`Tagger.__call__` for a sentence."""
-    is_unknown = [features.spelled(word) == UNKNOWN for word in words]
-    return tagger(features.of_words(words, question, capitals), is_unknown)
-
-
-def _clauses(
-    words: Sequence[str], tags: Sequence[str]
-) -> list[tuple[Sequence[str], Sequence[str]]]:
-    """Returns the clauses of a sentence with their tags; empty if there is only one."""
-    pairs = enumerate(zip(words, tags, strict=True))
-    cuts = [at for at, (word, tag) in pairs if word in BREAKS and tag == OUTSIDE]
-    bounds = [-1, *cuts, len(words)]
-    found = [
-        (words[start + 1 : end], tags[start + 1 : end])
-        for start, end in pairwise(bounds)
-        if end - start > 1
-    ]
-    return found[:_MAX_CLAUSES] if len(found) > 1 else []
 
 
 def _of_slots(logits: torch.Tensor, asked: int | None) -> torch.Tensor:
@@ -335,7 +286,7 @@ def fit(
     slots, acts = domain.slots, (*domain.acts, FOREIGN.act)
     examples = [*examples, *simulated]
     for example in foreign:  # their unknown words are not names, but may be taken for one
-        tags, _, _ = _tagged(tagger, features, example.words, example.question)
+        tags, _ = tagger(features.of_words(example.words, example.question))
         examples.append(replace(example, tags=tags))
     requests = torch.zeros(len(examples), len(slots) + 1)
     dont_care = torch.zeros(len(examples), len(slots) + 1)

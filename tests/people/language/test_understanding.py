@@ -16,9 +16,7 @@ from bbq_torchrl.people.language import (
     __main__ as command,
     read_lines,
 )
-from bbq_torchrl.people.language.asking import OPENING
 from bbq_torchrl.people.language.understander import cached_understander
-from bbq_torchrl.people.language.words import tokenize
 
 DATA = Path(__file__).parents[2] / "data"
 ANSWERS = read_lines(Path(__file__).with_name("answers.txt"), movie_domain())
@@ -50,16 +48,6 @@ def test_what_the_domain_does_not_have_is_not_invented(understand, text):
     for slot in ("numberofpeople", "starttime", "date", "moviename"):
         heard = understand(text, Frame("request", {}, (slot,)))
         assert not heard.frame.informs or understand.asks(heard)
-
-
-def test_a_sentence_of_a_text_is_heard_though_the_whole_hides_it(understand):
-    reading = understand._model.read
-    question = Frame("request", {}, ("city",))
-    whole = reading(tokenize("any city is fine . what time does it start ?"), question)
-    clause = reading(tokenize("what time does it start ?"), OPENING)
-    time = movie_domain().slots.index("starttime")
-    assert clause.requests[time] > 0.75
-    assert whole.requests[time] > 0.5
 
 
 @pytest.mark.parametrize("title", ["barbie", "oppenheimer", "the holdovers", "wonka"])

@@ -33,6 +33,8 @@ def test_nothing_and_a_number_without_end_are_no_quantity(text):
         ("moviename", "casablanca", ()),
         ("city", "springfield", ()),
         ("state", "tx", ("tx",)),
+        ("theater_chain", "regals", ("regal",)),
+        ("genre", "thrillers", ("thriller",)),
         ("starttime", "1930", ("7:30 pm",)),
         ("starttime", "10:30", ("10:30am",)),
         ("starttime", "the matinee", ("matinee",)),
