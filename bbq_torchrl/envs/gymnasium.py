@@ -41,8 +41,9 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
 
     It plays the same dialogues as a :class:`~bbq_torchrl.envs.DialogueEnv` of one dialogue, with
     ``reset(seed=s)`` in place of ``set_seed(s)``. The observation is float32 [features]; the user's
-    goal is only in ``info``. An action is an index in ``env.unwrapped.domain.actions``.
-    ``action_masks()`` returns the legal ones; illegal ones are played nevertheless.
+    goal is only in ``info``, as a number, and in :attr:`goal`. An action is an index in
+    ``env.unwrapped.domain.actions``. ``action_masks()`` returns the legal ones; illegal ones are
+    played nevertheless.
 
     ===============  =====  =====================================================================
     key of ``info``  type   meaning
@@ -50,7 +51,6 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
     ``success``      bool   the dialogue has ended in success
     ``is_success``   bool   the same, only at the end of a dialogue, for Stable-Baselines3
     ``turns``        int    turns that the agent has taken
-    ``goal``         str    the user's goal, such as ``request(ticket) inform(moviename=...)``
     ``goal_id``      int    index of the goal in the domain's goals
     ``action_mask``  array  int8 [actions], the legal actions, for ``action_space.sample``
     ===============  =====  =====================================================================
@@ -72,7 +72,7 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
         >>> import bbq_torchrl.envs.gymnasium
         >>> env = gymnasium.make("bbq_torchrl/MovieDialogue-v0", slot_error_prob=0.1)
         >>> observation, info = env.reset(seed=0)
-        >>> observation.shape, info["success"]
+        >>> observation.shape, bool(info["success"])
         ((268,), False)
         >>> int(env.unwrapped.action_masks().sum())
         39
@@ -109,6 +109,11 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
     def domain(self) -> Domain:
         """The domain of the dialogues."""
         return self._dialogue.domain
+
+    @property
+    def goal(self) -> str:
+        """The user's goal, such as ``request(ticket) inform(moviename=...)``."""
+        return self._transcript.goal(self._dialogue.dialogues)
 
     def set_round(self, round: int) -> None:
         """Enters a round of training: see :meth:`bbq_torchrl.envs.DialogueEnv.set_round`."""
@@ -186,13 +191,13 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
         return {"observation": features, "action_mask": self.action_masks()}
 
     def _info(self, step: TensorDict) -> dict[str, Any]:
-        success = bool(step["success"])
+        # NumPy's types alone, which TorchRL's reader of info can stack
+        success = np.bool_(bool(step["success"]))
         return {
             "success": success,
             **({"is_success": success} if self._is_over else {}),
-            "turns": int(step["turns"]),
-            "goal": self._transcript.goal(self._dialogue.dialogues),
-            "goal_id": int(step["goal_id"]),
+            "turns": np.int64(int(step["turns"])),
+            "goal_id": np.int64(int(step["goal_id"])),
             "action_mask": self.action_masks().astype(np.int8),
         }
 

@@ -60,6 +60,19 @@ class LoggerOption(Option):
         for logger in loggers:
             logger.log_hparams(dict(config))
 
+    def log_round(
+        self, loggers: Iterable[Logger], metrics: Mapping[str, float], *, round: int
+    ) -> None:
+        """Logs the metrics of a round.
+
+        Args:
+            loggers: the loggers of :meth:`make`.
+            metrics: the metrics by name, such as ``success_rate/replica_0``.
+            round: the round, counted from 0.
+        """
+        for logger in loggers:
+            logger.log_metrics(dict(metrics), step=round)
+
     def log_result(
         self, loggers: Iterable[Logger], result: Mapping[str, float], *, rounds: int
     ) -> None:
@@ -172,7 +185,15 @@ class WandB(LoggerOption):
             **same,
         )
         write_text(run_id, str(logger.experiment.id))
+        logger.experiment.define_metric("*", step_metric="round")
         return [logger]
+
+    def log_round(
+        self, loggers: Iterable[Logger], metrics: Mapping[str, float], *, round: int
+    ) -> None:
+        """Logs the metrics over the round; TorchRL would add a chart of steps for each."""
+        for logger in loggers:
+            logger.experiment.log({**metrics, "round": round})
 
     def log_result(
         self, loggers: Iterable[Logger], result: Mapping[str, float], *, rounds: int

@@ -46,7 +46,11 @@ class SpikeOption(Option):
     margin_factor: float = setting(30.0, POSITIVE, "factor of the margin's loss")
 
     def check(self) -> None:
-        """Refuses imitation of transitions that cannot be told from others."""
+        """Refuses imitation of transitions that are not there or cannot be told from others."""
+        if self.margin and not self.dialogues:
+            raise ConfigError(
+                f"spike.dialogues must be at least 1 with spike.margin={self.margin:g}, got 0"
+            )
         if self.margin and not self.protect:
             raise ConfigError(
                 "spike.margin must be 0 with spike.protect=false, which does not tell spiked "

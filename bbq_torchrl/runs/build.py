@@ -194,8 +194,7 @@ class Tracker:
 
     def log_metrics(self, metrics: Mapping[str, float], step: int) -> None:
         """Logs the metrics of a round."""
-        for logger in self._loggers:
-            self._try(logger.log_metrics, dict(metrics), step=step)
+        self._try(self._option.log_round, self._loggers, metrics, round=step)
 
     def log_result(self, result: Mapping[str, float], rounds: int) -> None:
         """Logs the numbers of the final result."""
@@ -280,7 +279,7 @@ class Checkout(NamedTuple):
 
     Attributes:
         commit: the hash of the commit checked out; None outside a checkout.
-        clean: whether ``git status`` reports no changes; None if unknown.
+        clean: whether no tracked file is changed; None if unknown.
     """
 
     commit: str | None = None
@@ -300,7 +299,7 @@ def checkout(folder: Path | None = None) -> Checkout:
     commit = _git(folder, "rev-parse", "--verify", "HEAD")
     if commit is None:
         return Checkout()
-    status = _git(folder, "status", "--porcelain")
+    status = _git(folder, "status", "--porcelain", "--untracked-files=no")
     return Checkout(commit, None if status is None else not status)
 
 

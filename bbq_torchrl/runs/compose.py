@@ -6,11 +6,14 @@ import argparse
 import contextlib
 import copy
 import os
+import re
 import sys
 from collections.abc import Iterator, Sequence
 from dataclasses import fields
+from functools import reduce
+from operator import getitem
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 from hydra import compose as hydra_compose, initialize_config_dir
 from hydra.core.global_hydra import GlobalHydra
@@ -111,7 +114,12 @@ def to_config(composed: DictConfig, root: type[Root]) -> Root:
     try:
         config: Root = OmegaConf.to_object(typed)  # type: ignore[assignment]
     except OmegaConfBaseException as error:
-        raise ConfigError(sentence(error)) from error
+        # the reference in it says enough of a value that may be a secret
+        told = re.sub(r"(interpolation '.*': Value) '.*' of", r"\1 of", sentence(error))
+        raise ConfigError(told) from error
+    for key, item, value in walk(config):
+        if item.metadata["allowed"].per_replica:
+            _put(config, key, _number(value))
     for part in (config, *vars(config).values()):
         if isinstance(part, (root, Option)):
             for key in vars(part).keys() - part.__dataclass_fields__.keys():  # added by a plus
@@ -119,8 +127,49 @@ def to_config(composed: DictConfig, root: type[Root]) -> Root:
     if path := getattr(config.domain, "path", ""):
         # Relative to where the command started: with hydra.job.chdir=true a job runs elsewhere.
         config.domain.path = os.path.abspath(to_absolute_path(os.path.expanduser(path)))  # type: ignore[attr-defined]
-    validate(config)
+    try:
+        validate(config)
+    except ConfigError:
+        written: Any = OmegaConf.to_container(typed, resolve=False)
+        for key, _, value in walk(config):
+            raw = reduce(getitem, key.split("."), written)
+            _put(config, key, _referenced(value, raw))
+        validate(config)  # again, with references in the sentence
+        raise
     return config
+
+
+def _put(config: object, key: str, value: object) -> None:
+    *groups, name = key.split(".")
+    setattr(reduce(getattr, groups, config), name, value)
+
+
+def _number(value: Any) -> Any:
+    """Returns the number that a text, such as an environment variable, stands for."""
+    if isinstance(value, list):
+        return [_number(item) for item in value]
+    with contextlib.suppress(ValueError):
+        return float(value) if isinstance(value, str) else value
+    return value
+
+
+class _Reference(str):
+    """A text that is shown as the reference that it came from, such as ``${oc.env:TOKEN}``."""
+
+    written: str
+
+    def __repr__(self) -> str:
+        return repr(self.written)
+
+
+def _referenced(value: Any, written: Any) -> Any:
+    if isinstance(value, list) and isinstance(written, list):
+        return [_referenced(*both) for both in zip(value, written, strict=True)]
+    if not isinstance(value, str) or "${" not in str(written):
+        return value
+    reference = _Reference(value)
+    reference.written = str(written)
+    return reference
 
 
 def key_of(override: str) -> str:

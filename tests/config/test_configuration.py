@@ -53,6 +53,24 @@ def test_what_follows_another_key_does_so_unless_given():
     assert (config.protocol.rounds, config.protocol.lr, config.agent.lr) == (40, 2e-3, 0.1)
 
 
+def test_numbers_can_be_environment_variables(monkeypatch):
+    monkeypatch.setenv("RATE", "2e-3")
+    config = compose(["agent.lr=[.1,'${oc.env:RATE}']", "protocol.lr=${oc.env:RATE}", "replicas=2"])
+    assert (config.agent.lr, config.protocol.lr) == ([0.1, 0.002], 0.002)
+
+
+@pytest.mark.parametrize(
+    "override", ["agent.lr=[.1,'{}']", "agent.target={}", "replicas={}", "protocol.lr={}"]
+)
+def test_a_message_shows_a_reference_and_not_its_value(override, monkeypatch):
+    monkeypatch.setenv("TOKEN", "se'cret" * 100)
+    with pytest.raises(ConfigError) as error:
+        compose(["agent=bbqn", override.format("${oc.env:TOKEN}")])
+    assert override.partition("=")[0] in str(error.value)
+    assert "${oc.env:TOKEN}" in str(error.value)
+    assert "cret" not in str(error.value)
+
+
 BEYOND_AGENTS = [n for n in options("experiment") if "/" not in n and n != "paper_start"]
 
 

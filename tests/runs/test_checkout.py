@@ -33,8 +33,8 @@ def test_a_checkout_has_a_commit_and_is_clean_until_something_changes(package):
     (package.parent / "runs").mkdir()
     (package.parent / "runs" / "result.json").touch()  # ignored
     assert checkout(package) == Checkout(commit, clean=True)
-    (package / "new.py").touch()
-    assert checkout(package) == Checkout(commit, clean=False)
+    (package / "new.py").touch()  # untracked
+    assert checkout(package) == Checkout(commit, clean=True)
     git(package, "add", ".")
     git(package, "commit", "-m", "go on")
     after = git(package, "rev-parse", "HEAD")

@@ -242,8 +242,8 @@ def _take(record, logged):
         logged.config |= values(record.config.update)
     elif kind == "history":
         row = values(record.history.item)
-        (step,) = {value for key, value in row.items() if key.endswith("/step")}
-        logged.rounds.append((step, row))
+        assert not any(key.endswith("/step") for key in row)  # a second chart of each
+        logged.rounds.append((row["round"], row))
     elif kind == "summary":
         logged.result |= values(record.summary.update)
     elif kind == "exit":
