@@ -98,9 +98,10 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
             turns = torch.arange(start, start + room) % room + self.protected
             number = self._success[turns]
             kept = number > max(0, int(self._success.max()) - self.successes)
-            index = turns[kept.int().argsort(stable=True)[:rows]].to(device)
+            index = turns[kept.int().argsort(stable=True)[:rows]]
             self._success[index] = 0
             start = int(index[-1]) + 1 - self.protected - rows
+            index = index.to(device)
         else:
             index = torch.arange(start, start + rows, device=device) % room + self.protected
         self._cursor = self.protected + (start + rows) % room
@@ -119,11 +120,10 @@ class ProtectedRoundRobinWriter(TensorDictRoundRobinWriter):
             succeeded: whether a row's dialogue succeeds, bool [rows].
             done: whether it ends with the row, bool [rows].
         """
-        succeeded, done = succeeded.cpu(), done.cpu()
-        if self.successes and succeeded.any():
+        if self.successes and (succeeded := succeeded.cpu()).any():
             if not len(self._success):
                 self._success = torch.zeros(self._storage.max_size, dtype=torch.int64)
-            ends = (succeeded & done).long()
+            ends = (succeeded & done.cpu()).long()
             number = self._success.max() + 1 + ends.cumsum(0) - ends
             self._success[index.cpu()] = torch.where(succeeded, number, 0)
 
