@@ -1,4 +1,4 @@
-"""Measures free conversations of twenty kinds of people with an agent: ``results/talks.csv``.
+"""Measures free conversations of many kinds of people with an agent: ``results/talks.csv``.
 
 The people (``scripts/talks/people.yaml``) type in words that the understanding has not learned
 from. Understanding, agent, dialogue control and judge are those of the chat and the study.
@@ -14,7 +14,7 @@ from pathlib import Path
 
 import torch
 from talks.counts import COUNTS, save, shares, total
-from talks.person import PEOPLE, Person
+from talks.person import PEOPLE, Person, suits
 from talks.talk import Talk
 
 from bbq_torchrl.people.dialogue import RULES
@@ -50,8 +50,7 @@ def main() -> None:
     goals = [goal for goal in partner.domain.goals if judge.is_attainable(goal)]
     rows = []
     for kind in given.kinds:
-        needs = set(PEOPLE["kinds"][kind].get("needs", ()))
-        fit = [goal for goal in goals if needs <= goal.constraints.keys()]
+        fit = [goal for goal in goals if suits(kind, goal)]
         chosen = random.Random(f"{given.seed} {kind}").sample(fit, min(given.goals, len(fit)))
         for seed, goal in enumerate(chosen, given.seed):
             talk = Talk(partner, Person(kind, goal, partner.domain, seed, names))

@@ -29,6 +29,16 @@ _UNPREPARED = re.compile(r"\b(on|at|for) (?=(tonight|tomorrow|this|next|any|afte
 _ONE = {"1 tickets": "1 ticket", "1 people": "1 person", "1 seats": "1 seat", "1 tix": "1 ticket"}
 
 
+def suits(kind: str, goal: Goal) -> bool:
+    """Returns whether a goal has what the habits of a kind need."""
+    entry = PEOPLE["kinds"][kind]
+    told, lacks = goal.constraints.keys(), set(entry.get("lacks", ()))
+    enough = len(goal.requests) >= entry.get("questions", 0)
+    return (
+        set(entry.get("needs", ())) <= told and lacks.isdisjoint(told | {*goal.requests}) and enough
+    )
+
+
 @dataclass(frozen=True)
 class Said:
     """One text of a person, and its meaning.
@@ -129,7 +139,9 @@ class Person:
                 or (at == "request" and is_request)
                 or (at == "answer" and bool(self._answers))
             )
-            if not is_due or (answer is not None and self._is_offer(answer) and at != "answer"):
+            is_any_time = at == "answer" or plan["means"] == "drop"
+            is_offer = answer is not None and self._is_offer(answer)
+            if not is_due or (is_offer and not is_any_time):
                 continue
             self._says.remove(plan)
             return self._habit(plan)
@@ -144,6 +156,8 @@ class Person:
             return Said(f"sorry, once more: {self._question(slot)}", requests=(slot,))
         if means == "nothing":
             return Said(self._choose(plan["say"]), act="nothing")
+        if means == "drop":
+            return Said(self._choose(plan["say"]), {slot: ANY})
         own = self._goal.constraints.get(slot, "")
         other = self._choose(PEOPLE["unknown"]) if means == "unknown" else self._another(slot)
         text = self._choose(plan["say"]).format(other=other, own=own)
@@ -155,7 +169,7 @@ class Person:
 
     def _another(self, slot: str) -> str:
         """Returns a plain value of a slot that is not the goal's."""
-        own = self._goal.constraints[slot]
+        own = self._goal.constraints.get(slot)
         plain = _PLAIN.get(slot)
         found = plain or sorted({row[slot] for row in self._domain.records if slot in row})
         return self._choose([value for value in found if value != own])
@@ -274,6 +288,11 @@ class Person:
         return [slot for slot in self._untold if slot != asked][: self._kind.get("more", 0)]
 
     def _ask(self, slot: str) -> Said:
+        if self._kind["asks"] == "two" and len(self.missing) > 1:
+            first, second = self.missing[:2]
+            one, other = (self._question(name) for name in (first, second))
+            other = other[0].lower() + other[1:]
+            return Said(f"{one.rstrip('?')}, and {other}", requests=(first, second))
         return Said(self._question(slot), requests=(slot,))
 
     def _question(self, slot: str) -> str:

@@ -9,7 +9,7 @@ from bbq_torchrl.people.chat import Partner
 from bbq_torchrl.people.dialogue.judge import Judge
 from bbq_torchrl.people.language import Frame, Unclear, Understood
 from scripts.talks.counts import COUNTS, SHARES, read, save, shares
-from scripts.talks.person import PEOPLE, Person
+from scripts.talks.person import PEOPLE, Person, suits
 from scripts.talks.talk import Talk
 
 
@@ -47,8 +47,7 @@ def talks(agents, mouth, spelling):
 
     def talks(kind, ears, count=3):
         partner = Partner(agents["bbqn"], ears, mouth, spelling)
-        needs = set(PEOPLE["kinds"][kind].get("needs", ()))
-        fit = [goal for goal in goals if needs <= goal.constraints.keys()]
+        fit = [goal for goal in goals if suits(kind, goal)]
         for seed, goal in enumerate(fit[:: len(fit) // count]):
             ears.person = Person(kind, goal, spelling.domain, seed, {})
             talk = Talk(partner, ears.person)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections import Counter
 from dataclasses import asdict, dataclass, field, replace
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -417,7 +418,7 @@ class Partner:
                 sentence, answered = self._nlg.say("no_more", **words), Frame("closing")
                 return Answer(sentence, reading, understood, answered, now, ended="agent")
         if "way_out" in rules:
-            state = self._acting.hear(before, understood)
+            understood, state = self._heard(before, understood)
             if self.control.is_stuck(state):
                 asked = tuple(
                     slot for slot in understood.requests if slot != self.domain.ticket_slot
@@ -443,6 +444,25 @@ class Partner:
             ended = "turns"
         sentence, left_out = " ".join(sentences), acted.control
         return Answer(sentence, reading, acted.understood, answered, now, True, ended, left_out)
+
+    def _heard(self, before: TensorDict | None, understood: Frame) -> tuple[Frame, TensorDict]:
+        """Returns an act and the state after it.
+
+        A value that no record has with the others is that of another slot, if a record has all of
+        them then: "tonight" is a date, or a time.
+        """
+        lexicon, informs = self._spelling.lexicon, _values(understood)
+        state = self._acting.hear(before, understood)
+        distance = self.control.records.best(full(state))[2]
+        others = product(informs.items(), lexicon.slots if distance else ())
+        for (slot, value), other in others:
+            if other not in informs and lexicon.link(other, value).is_exact:
+                rest = {name: told for name, told in understood.informs.items() if name != slot}
+                moved = replace(understood, informs={**rest, **self._spelling.of({other: value})})
+                found = self._acting.hear(before, moved)
+                if not self.control.records.best(full(found))[2]:
+                    return moved, found
+        return understood, state
 
     def _answer_to_check(self, before: Memory, text: str, frame: Frame) -> dict[str, Any] | None:
         """Returns the meaning of a text after "..., is that right?"; ``None`` for a plain no."""

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.values import DONT_CARE, FIRST_VALUE, NONE
 from bbq_torchrl.people.language.quantities import kind_of, read_time
 
@@ -15,13 +16,30 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-    from bbq_torchrl.domains import DomainTensors
+    from bbq_torchrl.domains import Domain, DomainTensors
 
 _EVIDENCE = 8  # values of a slot with several records, each with one value of the determined slot
 _SAMPLE = 100  # values that tell a slot's kind
 _COSTS = {"time": 1, "date": 2, "price": 2, "count": 2, "text": 3}
 """How much a person minds another value of a slot: one moves in time sooner than to another place;
 the opening slot, which a dialogue is about, costs twice as much as any."""
+
+
+def completed(domain: Domain) -> tuple[Mapping[str, str], ...]:
+    """Returns the records of a domain with what their other values determine, as a city its state.
+
+    Args:
+        domain: the domain, with one spelling for each value.
+    """
+    records = [dict(record) for record in domain.records]
+    determines = _dependencies(tensorize(domain))
+    for one, other in determines.nonzero().tolist():
+        name, determined = domain.slots[one], domain.slots[other]
+        known = {r[name]: r[determined] for r in records if name in r and determined in r}
+        for record in records:
+            if record.get(name) in known:
+                record.setdefault(determined, known[record[name]])
+    return tuple(records)
 
 
 class Records:

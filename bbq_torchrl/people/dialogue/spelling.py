@@ -6,6 +6,7 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.values import RESERVED_TEXT, fold
+from bbq_torchrl.people.dialogue.records import completed
 from bbq_torchrl.people.language import Unclear
 from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.quantities import PART_WORDS, read_time
@@ -34,7 +35,8 @@ class Spelling:
 
     Attributes:
         lexicon: the domain's phrases and values.
-        domain: the domain, with its records and goals in their most frequent spelling.
+        domain: the domain, with its records and goals in their most frequent spelling, and in each
+            record what its other values determine, as a city its state.
 
     Examples:
         >>> from bbq_torchrl.domains import movie_domain
@@ -46,13 +48,9 @@ class Spelling:
 
     def __init__(self, domain: Domain) -> None:
         self.lexicon = Lexicon(domain)
-        self.domain = replace(
-            domain,
-            records=tuple(map(self.of, domain.records)),
-            goals=tuple(
-                replace(goal, constraints=self.of(goal.constraints)) for goal in domain.goals
-            ),
-        )
+        goals = (replace(goal, constraints=self.of(goal.constraints)) for goal in domain.goals)
+        spelled = replace(domain, records=tuple(map(self.of, domain.records)), goals=tuple(goals))
+        self.domain = replace(spelled, records=completed(spelled))
         self._recorded: dict[str, set[str]] = {}
         for record in self.domain.records:
             for slot in record.keys() - set(domain.free_slots):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import torch
@@ -170,15 +170,15 @@ class Acted:
         understood: the act that the agent replies to.
         state: the state of the tracker after the acts.
         parts: each act, and the tracker's values before it.
-        aside: the wishes that the fitting records do not say, by slot; an offer has them as well.
         control: the rules that kept the agent from its preferred act.
+        aside: the wishes that the fitting records do not say, by slot; an offer has them as well.
     """
 
     understood: Frame
     state: TensorDict
     parts: tuple[tuple[Frame, dict[str, str]], ...]
-    aside: dict[str, str]
     control: tuple[str, ...]
+    aside: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def answered(self) -> Frame:
@@ -254,9 +254,13 @@ class Acting:
             if parts or rules:
                 action = agent.decide(observation, seed, allowed)
             state = self._act(state, action, parts)
+        if control.is_ticket(action):  # "There are tickets left": an offer or a question follows
+            follows = control.allowed(state, control.continues(agent.legal))[0]
+            action = agent.decide(self._tracking.observe(state), seed, follows)
+            state = self._act(state, action, parts)
         is_offer = self._complete in parts[-1][0].informs and "aside" in state
         aside = self._tracking.values(state["aside"]) if is_offer else {}
-        return Acted(understood, state, tuple(parts), aside, rules)
+        return Acted(understood, state, tuple(parts), rules, aside)
 
     def _answer(
         self, state: TensorDict, understood: Frame, legal: torch.Tensor, seed: int
@@ -275,7 +279,9 @@ class Acting:
             if NO_MATCH_TEXT in parts[-1][0].informs.values():
                 state = state.replace(held=held)
         if parts:
-            wish = Frame("request", understood.informs, (self._ticket,))
+            aside = self._tracking.values(state["aside"]) if "aside" in state else {}
+            told = {slot: v for slot, v in understood.informs.items() if slot not in aside}
+            wish = Frame("request", told, (self._ticket,))
             state = self._tracking.hear(state, wish)
         return state.replace(turn=turn), parts
 
