@@ -34,6 +34,7 @@ _PREPOSITION = re.compile(
 
 _SINGULAR = pairs("singular")
 _ONE = re.compile(rf"\b(1|one) ({'|'.join(_SINGULAR)})\b")
+_AN = re.compile(r"\b([Aa]) (?=[aeiou])(?!one\b|once\b|eu|uni|us[eu])", re.IGNORECASE)
 _SMALL = word_set("small_in_titles")
 _PROPER = re.compile(rf"\b({'|'.join(word_set('proper'))}|new year(?='s)|(may|march)(?= \d))\b")
 
@@ -280,7 +281,8 @@ class Generator:
 
 
 def _polished(text: str) -> str:
-    """Returns a sentence with "1 ticket", "tomorrow" instead of "on tomorrow", and "Monday"."""
+    """Returns a sentence with "1 ticket", "an e-bike", "tomorrow" for "on tomorrow", and "Monday"."""
+    text = _AN.sub(r"\1n ", text)
     text = _PROPER.sub(lambda found: found[0].title(), _PREPOSITION.sub("", text))
     return _ONE.sub(lambda found: f"{found[1]} {_SINGULAR[found[2]]}", text)
 

@@ -201,6 +201,21 @@ def test_what_is_unclear_is_asked_about_by_its_words(speak):
     assert len(again) >= 4
 
 
+@pytest.mark.parametrize(
+    ("said", "meant"),
+    [
+        ("a e-bike", "an e-bike"),
+        ("A Urban", "An Urban"),
+        ("a one-way", "a one-way"),
+        ("a unit", "a unit"),
+    ],
+)
+def test_agents_write_an_before_a_vowel(tmp_path, said, meant):
+    (tmp_path / "language.yaml").write_text(f'agent: {{welcome: ["you have {said}."]}}')
+    speak = Generator(replace(movie_domain(), folder=tmp_path))
+    assert speak.agent(Frame("welcome")) == f"You have {meant}."
+
+
 def test_agents_write_names_as_titles_and_one_in_the_singular(speak):
     wishes = {"moviename": "dune: part two", "state": "wa", "numberofpeople": "1"}
     texts = [speak.say("check", values=wishes, session=session) for session in range(20)]

@@ -27,6 +27,11 @@ def test_an_answer_is_read_in_the_light_of_the_question(understand, answer):
     assert understand(answer.text, answer.question).frame == answer.frame
 
 
+def test_an_answer_and_a_question_after_it_are_both_heard(understand):
+    frame = understand("reno. what time does it start?", Frame("request", {}, ("city",))).frame
+    assert (frame.informs, frame.requests) == ({"city": "reno"}, ("starttime",))
+
+
 @pytest.mark.parametrize(
     ("slot", "text", "candidates"),
     [
