@@ -115,7 +115,10 @@ def load_miulab(
     folder = Path(expanduser(path))
     files = {"records": folder / kb, "goals": folder / goals, "error_values": folder / values}
     if missing := [file.name for file in files.values() if not file.is_file()]:
-        raise FileNotFoundError(f"the MiuLab folder {folder} lacks {', '.join(missing)}")
+        raise FileNotFoundError(
+            f"the MiuLab folder {folder} lacks {', '.join(missing)}; a clone of TC-Bot has them in "
+            "src/deep_dialog/data"
+        )
     movie = shipped_domain("movie")
     own = {item.name: getattr(movie, item.name) for item in fields(movie)}
     own |= {"name": "miulab", "reference_slot_error_prob": REFERENCE_SLOT_ERROR_PROB}

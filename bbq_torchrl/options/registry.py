@@ -136,8 +136,8 @@ def load_folder(folder: Path | str, given_by: str = "--config-dir") -> None:
         given_by: the argument with the folder, for messages.
 
     Raises:
-        ConfigError: the folder is missing, a file cannot be imported or read, or a file has the
-            name of another module.
+        ConfigError: the folder is missing, a file cannot be imported or read, a file has the name
+            of another module, or an option is not registered.
     """
     given, folder = str(folder), Path(expanduser(folder)).resolve()
     if not folder.is_dir():
@@ -148,6 +148,8 @@ def load_folder(folder: Path | str, given_by: str = "--config-dir") -> None:
     for file in sorted(folder.glob("*.py")):
         with _importing(file):
             module = importlib.import_module(file.stem)
+            for found in vars(module).values():
+                _refuse_unregistered(found, module.__name__)
         if module.__file__ is None or Path(module.__file__).resolve() != file:
             raise ConfigError(
                 f"{file} must have a name that no other module has, got {file.stem}, which is "
@@ -160,6 +162,15 @@ def load_folder(folder: Path | str, given_by: str = "--config-dir") -> None:
             except (OSError, ValueError) as error:
                 raise ConfigError(f"{file}: {sentence(error)}") from error
     os.environ[FOLDER_VARIABLE] = str(folder)
+
+
+def _refuse_unregistered(found: object, module: str) -> None:
+    """Refuses an option with a name that lacks the decorator; a base class has no name."""
+    if not (isinstance(found, type) and issubclass(found, Option) and found.__module__ == module):
+        return
+    name = getattr(found, "name", REQUIRED)
+    if name != REQUIRED and name not in _OPTIONS[found.group]:
+        raise ConfigError(f"{_where(found)} must have @register above @dataclass to be an option")
 
 
 def options_folder() -> Path | None:

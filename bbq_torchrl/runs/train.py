@@ -29,6 +29,7 @@ from bbq_torchrl.runs.folders import config_fingerprint
 from bbq_torchrl.runs.prepare import final_config
 from bbq_torchrl.runs.sweeps import run_job
 from bbq_torchrl.runs.usage import usage
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.files import CONFIG
 from bbq_torchrl.utils.text import sentence
@@ -250,6 +251,11 @@ def make_agent(config: Config, env: EnvBase) -> Agent:
     actor = config.agent.make_actor(task)
     loss = config.agent.make_loss(actor, task)
     policy, metrics = config.explore.make(actor, config.agent.make_greedy(actor), task)
+    if "action" not in policy.out_keys:
+        raise ConfigError(
+            f"explore={config.explore.name} must make a policy that writes the entry 'action', got "
+            f"one that writes {', '.join(map(str, policy.out_keys)) or 'nothing'}"
+        )
     loss, rewards = config.intrinsic.make(loss, task)
     config.spike.imitate(losses_of(loss)[0])
     transforms = [*config.agent.make_transforms(task), *rewards]

@@ -21,7 +21,7 @@ from bbq_torchrl.options import (
 )
 from bbq_torchrl.options.registry import options
 from bbq_torchrl.runs.compose import compose, take_config_dir, train_command
-from bbq_torchrl.runs.train import main as train_main
+from bbq_torchrl.runs.train import main as train_main, make_agent
 from bbq_torchrl.settings import COUNT, ConfigError, option, setting
 from scripts import write_docs
 
@@ -181,6 +181,7 @@ def test_the_folder_is_part_of_the_commands_that_are_told(own):
         ("lacking.py", "import no_such_module"),
         ("taken.py", STRATEGY.replace("narrow", "greedy")),
         ("json.py", ""),
+        ("bare.py", STRATEGY.replace("@register\n", "")),
     ],
 )
 def test_a_file_that_cannot_be_used_is_named(name, text, tmp_path):
@@ -199,6 +200,15 @@ def test_a_run_with_an_option_of_a_folder_is_loaded_with_the_folder(own, tmp_pat
     with pytest.raises(ConfigError, match="options"):
         load_run(tmp_path / "run", options="nowhere")
     assert load_run(tmp_path / "run", options=folder).config.explore.patience == 3
+
+
+def test_a_strategy_that_writes_no_action_is_refused_by_its_name(own):
+    text = STRATEGY.replace("greedy, {", "TensorDictModule(abs, ['reward'], ['guess']), {")
+    folder = own()
+    (folder / "narrow_option.py").write_text(f"from tensordict.nn import TensorDictModule{text}")
+    config = compose(load(folder, "explore=narrow", *TINY))
+    with pytest.raises(ConfigError, match=r"explore=narrow .*guess"):
+        make_agent(config, config.env.make(config.domain.make(), (1, 2)))
 
 
 def test_a_package_that_cannot_be_imported_is_named(tmp_path):

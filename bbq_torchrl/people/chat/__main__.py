@@ -18,6 +18,7 @@ from bbq_torchrl.options.registry import load_folder
 from bbq_torchrl.people.dialogue import RULES
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import output
+from bbq_torchrl.utils.extras import needed
 from bbq_torchrl.utils.output import between, page
 from bbq_torchrl.utils.text import shown
 
@@ -31,6 +32,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if "endpoint" in (given.nlu, given.nlg) and not (given.url and given.model):
         raise ConfigError("--nlu endpoint and --nlg endpoint need --url and --model")
     rules = _rules(given.control)
+    for package, module in (("rich", "rich"), ("prompt_toolkit", "prompt_toolkit")):
+        needed(package, module, "chat")  # before anything that takes time
     if given.config_dir is not None:
         load_folder(given.config_dir)
 

@@ -14,6 +14,7 @@ from bbq_torchrl.domains import Goal
 from bbq_torchrl.people.chat import Partner, __main__
 from bbq_torchrl.people.chat.terminal import Chat
 from bbq_torchrl.people.dialogue.judge import Judge, choose_goal
+from bbq_torchrl.utils.extras import needed
 
 
 def play(partner, goal, lines):
@@ -129,3 +130,10 @@ def test_what_cannot_be_is_refused_in_a_sentence(runs, capsys, monkeypatch, argu
     error = capsys.readouterr().err
     assert key in error
     assert "Traceback" not in error
+
+
+def test_a_missing_extra_is_told_before_a_run_is_looked_for(monkeypatch, capsys):
+    needed.cache_clear()
+    monkeypatch.setitem(sys.modules, "rich", None)
+    assert __main__.main(["nowhere"]) == 2
+    assert "chat]" in capsys.readouterr().err
