@@ -147,10 +147,6 @@ class Control:
         """Returns the actions that may follow an answer in the same reply, bool ``[*B, A]``."""
         return legal & (self._is_request | self._is_booking)
 
-    def is_ticket(self, action: int) -> bool:
-        """Returns whether an action tells only that a booking is possible, by the news rule."""
-        return "news" in self.rules and bool((self._is_told & ~self._is_answer)[action])
-
     def is_stuck(self, state: TensorDictBase) -> bool:
         """Returns whether no record has all values held; the state is that of one dialogue."""
         differs, lacks, _ = self.records.best(state["held"])
@@ -180,8 +176,7 @@ class Control:
         return ~(self._is_request & is_implied[..., self._slot])
 
     def _news(self, state: TensorDictBase) -> torch.Tensor:
-        open_ = state["heard_requests"] | state["open_requests"]
-        is_asked = open_[..., self._slot]
+        is_asked = self._open(state)[..., self._slot]
         return ~((self._is_told & ~is_asked) | self._is_empty)
 
     def _no_repeat(self, state: TensorDictBase) -> torch.Tensor:

@@ -262,6 +262,7 @@ class Partner:
         if is_no(text):
             return replace(reading, frame=Frame("deny"), confidence=1.0, unclear=())
         is_vague = self._is_bare(frame) and frame.act not in ("deny", "closing")
+        is_vague = is_vague or (self._is_bare(frame, "deny") and moves.hesitates(text))
         is_vague = is_vague or (asks and self._nlu.asks(reading) and not frame.informs)
         if asks and frame.informs and not frame.requests:  # "Do they have wheelchair access?"
             heard = self._acting.hear(before.state, frame)
@@ -270,7 +271,8 @@ class Partner:
             is_vague = is_vague and not moves.asks_for_others(text)
         if not is_vague:
             return reading
-        if named := self._spelling.named(text, self.domain.slots) if asks else ():
+        listed = [slot for slot in self.domain.slots if self._is_listed(slot)]
+        if named := self._spelling.named(text, listed) if asks else ():
             requests = tuple(slot for slot in frame.requests if slot in named) or named[:1]
             return Understood(Frame("request", {}, requests), 1.0, source=reading.source)
         return replace(reading, frame=Frame("not_sure"), unclear=() if asks else reading.unclear)
@@ -293,7 +295,9 @@ class Partner:
                 return replace(reading, frame=Frame("not_sure"), confidence=0.0), ()
             return reading, ()
         informs = {slot: value for slot, value in told.items() if value != ANY}
-        frame = replace(reading.frame, informs=informs | dict.fromkeys(slots, ANY))
+        requests = tuple(slot for slot in reading.frame.requests if slot not in slots)
+        informs |= dict.fromkeys(slots, ANY)
+        frame = replace(reading.frame, informs=informs, requests=requests)
         if frame.act not in ("inform", "request"):
             frame = replace(frame, act="request" if frame.requests else "inform")
         unclear = tuple(one for one in reading.unclear if one.slot not in slots)
@@ -316,7 +320,7 @@ class Partner:
         question = self._question(before)
         if not slots and question is not None and question.requests and not before.proposal:
             slots = [question.requests[0]]
-        slots = [slot for slot in slots if self.control.records.is_listed(domain.slots.index(slot))]
+        slots = [slot for slot in slots if self._is_listed(slot)]
         if not slots:
             if not (before.proposal or self.control.is_stuck(state) or bool(state["offered"])):
                 return None
@@ -326,9 +330,9 @@ class Partner:
         if len(found) < 2:
             refused = self._refused(now)
             change = {number: found[0]} if found else {}
-            change = change or self.control.records.nearest(
-                held, refused, slot=number, direction=way
-            )
+            nearest = self.control.records.nearest
+            change = change or nearest(held, refused, slot=number, direction=way)
+            change = change or nearest(held, refused, asked=[number])
             return self._propose(replace(now, state=state), reading, change, words)
         ids = torch.zeros_like(held)
         values = []
@@ -340,6 +344,10 @@ class Partner:
         answered = Frame("multiple_choice", {}, (slots[0],), asking.choices)
         now = replace(now, state=state, asking=asking)
         return Answer(sentence, reading, reading.frame, answered, now)
+
+    def _is_listed(self, slot: str) -> bool:
+        """Returns whether records have values of a slot that constrains them."""
+        return self.control.records.is_listed(self.domain.slots.index(slot))
 
     def _alternative(
         self, before: Memory, now: Memory, reading: Understood, words: dict[str, Any]

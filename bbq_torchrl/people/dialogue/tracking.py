@@ -254,10 +254,6 @@ class Acting:
             if parts or rules:
                 action = agent.decide(observation, seed, allowed)
             state = self._act(state, action, parts)
-        if control.is_ticket(action):  # "There are tickets left": an offer or a question follows
-            follows = control.allowed(state, control.continues(agent.legal))[0]
-            action = agent.decide(self._tracking.observe(state), seed, follows)
-            state = self._act(state, action, parts)
         is_offer = self._complete in parts[-1][0].informs and "aside" in state
         aside = self._tracking.values(state["aside"]) if is_offer else {}
         return Acted(understood, state, tuple(parts), rules, aside)

@@ -1,0 +1,72 @@
+"""Replies of people to an agent that learned nothing, in their own words."""
+
+from __future__ import annotations
+
+from itertools import count
+from pathlib import Path
+
+import pytest
+import yaml
+
+from bbq_torchrl.people.chat import Partner
+
+TEXTS = yaml.safe_load(Path(__file__).with_name("conversations.yaml").read_text(encoding="utf-8"))
+WONKA = "two tickets for wonka in tampa"
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def partner(agents, understand, mouth, spelling):
+    return Partner(agents["bbqn"], understand, mouth, spelling)
+
+
+@pytest.fixture(scope="module")
+def offer(partner):
+    """The answer with an offer of tickets for Wonka in Tampa."""
+    answer = said(partner, None, WONKA)
+    for seed in count():
+        if answer.memory.state is not None and answer.memory.state["offered"]:
+            return answer
+        answer = said(partner, answer, "book it", seed)
+
+
+def said(partner, answer, text, seed=0):
+    return partner.reply(None if answer is None else answer.memory, text, seed)
+
+
+def opened(partner, text):
+    """The first answer to a text but the check of whether it was understood."""
+    answer = said(partner, None, text)
+    while answer.memory.asking.is_check:
+        answer = said(partner, answer, "yes")
+    return answer
+
+
+def test_most_replies_to_no_match_are_helped(partner):
+    helped = []
+    for talk in TEXTS["no_match"]:
+        before = opened(partner, talk["open"])
+        assert before.memory.proposal
+        for reply in talk["replies"]:
+            act = said(partner, before, reply).answered
+            helped.append(bool(act.choices) or not {*act.informs.values()} <= {"no match"})
+    assert sum(helped) / len(helped) >= 0.7
+
+
+def test_an_offer_stands_after_anything_but_a_whole_yes(partner, offer):
+    for text in TEXTS["not_ends"]:
+        assert not said(partner, offer, text).ended, text
+    ended = [said(partner, said(partner, offer, text), "yes").ended for text in TEXTS["not_ends"]]
+    assert ended.count("agent") / len(ended) >= 0.9
+    for text in TEXTS["ends"]:
+        assert said(partner, offer, text).ended == "agent", text
+
+
+def test_two_questions_are_answered_without_being_asked_again(partner):
+    before = opened(partner, WONKA)
+    answered = [
+        {*slots.split()} <= said(partner, before, text).answered.informs.keys()
+        for text, slots in TEXTS["questions"].items()
+    ]
+    assert sum(answered) / len(answered) >= 0.8
