@@ -134,10 +134,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
         for cell in cells
         if not cell.is_played
     ]
-    for line in [] if given.page else missing:
-        output.print_error(f"missing: {line}")
     trained = [item for item in arguments if item != "--page"]
-    output.write(_write(given, shlex.join(["bbq", "bench", *trained]), cells, missing))
+    report = _write(given, shlex.join(["bbq", "bench", *trained]), cells, missing)
+    for line in missing:
+        output.print_error(f"missing: {line}")
+    output.write(report)
     return 1 if missing else 0
 
 
@@ -257,7 +258,7 @@ def cells_of(
     Raises:
         ConfigError: a budget is not whole rounds, or a configuration is refused.
     """
-    dialogues = compose(overrides).protocol.dialogues
+    dialogues = compose([*overrides, f"replicas={seeds}"]).protocol.dialogues
     if uneven := [budget for budget in budgets if budget % dialogues]:
         raise ConfigError(
             f"--budgets must be multiples of a round's {dialogues} dialogues "
@@ -351,7 +352,10 @@ def goal_plays(cell: Cell) -> dict[str, Any]:
 
 
 def _write(given: Namespace, command: str, cells: Sequence[Cell], missing: list[str]) -> str:
-    """Writes the page, its figures, bench.csv and bench.json. Returns the page."""
+    """Writes the page, its figures, bench.csv and bench.json. Returns the page.
+
+    Diverged replicas are added to what is missing.
+    """
     from bbq_torchrl.evaluation.bench_report import bench_report, rows_of, setting_name
     from bbq_torchrl.evaluation.run_result import read_result, write_json
 
@@ -366,6 +370,7 @@ def _write(given: Namespace, command: str, cells: Sequence[Cell], missing: list[
             name = cell.agent, cell.setting, cell.folder, given.budgets
             rows += rows_of(*name, played["plays"], played["successes"])
             result = read_result(cell.folder)
+            missing += [f"{cell.name}, replica {number} (diverged)" for number in result.diverged]
             entry |= {"commit": result.commit, "clean": result.clean, "versions": result.versions}
             scripts[setting_name(cell.setting)] = result.scripted | result.references
         about.append(entry)

@@ -97,13 +97,17 @@ def bench_report(
         rows: the rows of the finished cells.
         agents: names in order.
         settings: settings in order.
-        about: the content of bench.json: ``budgets``, ``missing``, ``scripts``.
+        about: the content of bench.json: ``budgets``, ``seeds``, ``missing``, ``scripts``.
     """
     budgets = about["budgets"]
     cells: dict[tuple[str, Setting], list[Row]] = {}
     for row in rows:
         cells.setdefault((row["agent"], (row["domain"], row["errors"])), []).append(row)
-    whole = [one for one in settings if all((agent, one) in cells for agent in agents)]
+    whole = [
+        one
+        for one in settings
+        if all(len(cells.get((agent, one), ())) == about["seeds"] for agent in agents)
+    ]
     parts: list[str | Table] = [
         *([f"**Missing:** {'; '.join(about['missing'])}."] if about["missing"] else []),
         "## Over settings",

@@ -221,7 +221,7 @@ def _nested(flat_config: Mapping[str, Any]) -> dict[str, Any]:
 def _replicas(
     folder: Path, config: Mapping[str, Any], result: RunResult, metrics: Metrics
 ) -> Iterator[Replica]:
-    """Yields the replicas of a run.
+    """Yields the replicas of a run that did not diverge.
 
     Raises:
         ValueError: the metrics are of another run.
@@ -231,7 +231,7 @@ def _replicas(
             f"{folder}: the metrics are of {metrics.rounds} rounds and {metrics.replicas} "
             f"replicas, the result of {result.rounds} and {result.replicas}"
         )
-    for number in range(result.replicas):
+    for number in sorted({*range(result.replicas)} - {*result.diverged}):
         yield Replica(folder, number, config, result, metrics)
 
 

@@ -93,6 +93,7 @@ class RunResult:
         commit: hash of the code's commit, the last one for a resumed training; None outside a
             checkout.
         clean: whether the code was as committed; None if unknown.
+        diverged: replicas whose loss became NaN or infinite, which the means leave out.
     """
 
     agent: str
@@ -119,6 +120,7 @@ class RunResult:
     skipped: tuple[str, ...] = ()
     commit: str | None = None
     clean: bool | None = None
+    diverged: tuple[int, ...] = ()
 
     @property
     def code(self) -> str:
@@ -130,24 +132,25 @@ class RunResult:
     @classmethod
     def of(cls, per_replica: Sequence[ReplicaResult], **described: Any) -> RunResult:
         """Returns the result of replicas evaluated on equally many dialogues."""
-        return cls(**_summed(per_replica), **described)
+        return cls(**_summed(per_replica, described.get("diverged", ())), **described)
 
     def only(self, replicas: Sequence[int]) -> RunResult:
         """Returns the result of some of the replicas."""
         return replace(self, **_summed([self.per_replica[replica] for replica in replicas]))
 
 
-def _summed(per_replica: Sequence[ReplicaResult]) -> dict[str, Any]:
+def _summed(per_replica: Sequence[ReplicaResult], diverged: Sequence[int] = ()) -> dict[str, Any]:
     """Returns the fields of a result that aggregate its replicas."""
-    errors = [item.standard_error for item in per_replica]
+    counted = [item for item in per_replica if item.replica not in diverged]
+    errors = [item.standard_error for item in counted]
     means = ("success_rate", "reward", "turns", "training_success")
     return {
         "replicas": len(per_replica),
         "standard_error": math.sqrt(math.fsum(error**2 for error in errors)) / len(errors),
-        "dialogues": sum(item.dialogues for item in per_replica),
+        "dialogues": sum(item.dialogues for item in counted),
         "per_replica": tuple(per_replica),
-        "while_training": _mean_evaluation([item.while_training for item in per_replica]),
-    } | {name: fmean(getattr(item, name) for item in per_replica) for name in means}
+        "while_training": _mean_evaluation([item.while_training for item in counted]),
+    } | {name: fmean(getattr(item, name) for item in counted) for name in means}
 
 
 Result = TypeVar("Result", TrainingEvaluation, ReplicaResult, RunResult)
@@ -289,7 +292,15 @@ def result_of(plain: Mapping[str, Any]) -> RunResult:
     replicas = tuple(_made(ReplicaResult, item) for item in plain["per_replica"])
     if len(replicas) != plain["replicas"]:
         raise ValueError("per_replica must have an entry for each of the replicas")
-    return _made(RunResult, {**plain, "per_replica": replicas, "skipped": (*plain["skipped"],)})
+    return _made(
+        RunResult,
+        {
+            **plain,
+            "per_replica": replicas,
+            "skipped": (*plain["skipped"],),
+            "diverged": (*plain.get("diverged", ()),),
+        },
+    )
 
 
 def _made(schema: type[Result], plain: Mapping[str, Any]) -> Result:

@@ -120,6 +120,7 @@ def final_result(
         versions=_versions(),
         commit=code.commit,
         clean=code.clean,
+        diverged=tuple(sorted(trainer.learner.diverged)),
         skipped=() if domain is None else domain.skipped,
         **_others(config, domain),
     )
@@ -158,7 +159,7 @@ def _groups(
     config: Config, folder: Path, result: RunResult, rows: Sequence[MetricRow]
 ) -> list[Group]:
     metrics, plain = Metrics(rows), dataclasses.asdict(config)
-    numbers = range(config.replicas)
+    numbers = sorted({*range(config.replicas)} - {*result.diverged})
     return grouped(Replica(folder, number, plain, result, metrics) for number in numbers)
 
 
@@ -215,7 +216,8 @@ def log_result(config: Config, result: RunResult, tracker: Tracker) -> None:
 
 
 def _result_line(config: Config, result: RunResult) -> str:
-    rates = [item.success_rate for item in result.per_replica]
+    left = [item for item in result.per_replica if item.replica not in result.diverged]
+    rates = [item.success_rate for item in left]
     several = f", {_short(min(rates))} to {_short(max(rates))} over {len(rates)} replicas"
     best = best_script(result.scripted)
     others = [f"the best script, {best}, {_short(result.scripted[best])}"] if best else []

@@ -135,6 +135,7 @@ class Learner:
 
     Attributes:
         sums: the sums of the loss's outputs in this round.
+        diverged: replicas that are not updated, since their loss was NaN or infinite.
 
     Raises:
         ValueError: if the optimizer does not update each replica separately.
@@ -151,6 +152,7 @@ class Learner:
     updates_per_round: int | None = None
     lr_share: Callable[[int], float] | None = None
     sums: LossSums = field(init=False)
+    diverged: set[int] = field(init=False, default_factory=set)
 
     def __post_init__(self) -> None:
         if not provides(self.optimizer, ReplicaOptimizer):
@@ -225,7 +227,10 @@ class Learner:
             out.update(added)
         self.optimizer.zero_grad()
         out["loss"].backward()
-        self.optimizer.step(None if all(batch.active) else batch.active)
+        active = [
+            learns and replica not in self.diverged for replica, learns in enumerate(batch.active)
+        ]
+        self.optimizer.step(None if all(active) else active)
         self.sums.add(out, batch)
 
     def compute_targets(self) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -35,6 +36,8 @@ from bbq_torchrl.trainers.learn import Learner, seed_phase
 from bbq_torchrl.trainers.recording import LogsMetrics, MetricRow, MetricsFile, RoundProgress
 from bbq_torchrl.utils.files import CHECKPOINTS, METRICS
 from bbq_torchrl.utils.seeds import derive_seed
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass(eq=False)
@@ -151,7 +154,8 @@ class RoundTrainer:
             ValueError: if the run folder contains a run already and ``resume`` is False.
             CheckpointMismatchError: if its checkpoint has another seed or configuration.
             CheckpointDamagedError: if every checkpoint is damaged, or metrics exist without one.
-            NonFiniteLossError: if a loss is NaN or infinite; the state is saved first.
+            NonFiniteLossError: if the losses of all replicas have been NaN or infinite. The others
+                learn on without such a replica; its state is saved first.
             RunFolderGoneError: if the run folder is moved or removed during training.
         """
         self.begin(resume=resume)
@@ -178,6 +182,11 @@ class RoundTrainer:
             rounds = self.checkpoints.restore(self.config_fingerprint)
             if rounds is not None:
                 self.rounds_done = self.rounds_saved = rounds
+                self.learner.diverged = {
+                    int(row["replica"])
+                    for row in self.metrics.rows
+                    if not math.isfinite(row["loss"])
+                }
                 return
             if self.metrics.path.exists():
                 raise CheckpointDamagedError.gone(self.run_folder)
@@ -197,7 +206,8 @@ class RoundTrainer:
         It saves a checkpoint every ``checkpoint_every`` rounds; :meth:`train` saves the last one.
 
         Raises:
-            NonFiniteLossError: if a loss is NaN or infinite; the state is saved first.
+            NonFiniteLossError: if the losses of all replicas have been NaN or infinite. The others
+                learn on without such a replica; its state is saved first.
             RunFolderGoneError: if the run folder no longer exists; nothing is saved.
         """
         columns = self._round(self.rounds_done)
@@ -258,10 +268,17 @@ class RoundTrainer:
         if broken:
             saved = self._save(name=f"failed-round-{round_number:06d}")
             noun = "replica" if len(broken) == 1 else "replicas"
-            raise NonFiniteLossError(
+            told = (
                 f"the loss of {noun} {', '.join(map(str, broken))} is not finite in round "
                 f"{round_number}; the state is saved in {saved}"
             )
+            self.learner.diverged |= {*broken}
+            if len(self.learner.diverged) == self.replicas:
+                raise NonFiniteLossError(told)
+            _LOG.warning("%s. The other replicas go on, reports leave this out", told)
+            with torch.no_grad():
+                for parameter in self.learner.loss.parameters():
+                    parameter[broken] = 0.0  # it must still act
         return means
 
     def _begin_phase(self, name: str, round_number: int) -> None:

@@ -124,6 +124,14 @@ def test_a_cell_that_fails_is_named_and_leaves_the_others_alone(tmp_path, monkey
     assert (tmp_path / "trained").read_text().split() == ["wild", "dqn", "wild"]
 
 
+def test_a_seed_that_diverges_is_named_and_the_others_count(tmp_path):
+    page, _ = run(tmp_path, "half: agent=dqn agent.lr=[.001,1e30]", code=1)
+    assert "**Missing:** half on hotel, errors 0.1, replica 1 (diverged)." in page
+    assert "No setting is finished by all agents." in page
+    with (tmp_path / "made" / "bench.csv").open() as file:
+        assert [row["replica"] for row in csv.DictReader(file)] == ["0"]
+
+
 def test_a_page_alone_trains_nothing(tmp_path):
     page, _ = run(tmp_path, "dqn", "--page", code=1)
     assert "**Missing:** dqn on hotel, errors 0.1 (not trained)." in page

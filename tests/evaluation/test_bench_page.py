@@ -13,7 +13,8 @@ RATES = {
     ("b", SETTINGS[0]): [0.4, 0.6, 0.6, 0.9, 0.5],
     ("a", SETTINGS[1]): [0.1, 0.2, 0.3, 0.2, 0.1],
     ("b", SETTINGS[1]): [0.3, 0.1, 0.4, 0.5, 0.2],
-    ("a", SETTINGS[2]): [0.9] * 5,  # of one agent only
+    ("a", SETTINGS[2]): [0.9] * 5,
+    ("b", SETTINGS[2]): [0.9] * 4,  # one diverged
 }
 
 
@@ -26,7 +27,7 @@ def page(**about):
         for (agent, (domain, errors)), rates in RATES.items()
         for number, rate in enumerate(rates)
     ]
-    given = {"budgets": [50], "missing": [], "scripts": {}, "command": "bbq bench"}
+    given = {"budgets": [50], "seeds": 5, "missing": [], "scripts": {}, "command": "bbq bench"}
     return bench_report(rows, ["a", "b"], SETTINGS, given | about)
 
 

@@ -8,6 +8,7 @@ from torch.testing import assert_close
 
 from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation.groups import read_groups
+from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import build_trainer, run
 
@@ -92,6 +93,30 @@ def test_a_replica_trains_bitwise_as_where_all_have_its_value(case, composed, tm
         assert [row for row in together if row["replica"] == replica] == [
             row | own for row in expected if row["replica"] == replica
         ]
+
+
+@pytest.mark.parametrize("agent", ["dqn", "bbqn", "bootstrap"])
+def test_a_replica_that_diverges_leaves_the_others_alone(agent, composed, tmp_path):
+    configs = [
+        composed(f"agent={agent} replicas=2 protocol.rounds=3", {"agent.lr": [1e-3, other]})
+        for other in (1e30, 1e-3)
+    ]
+    weights, expected = trained(configs[1], tmp_path / "sound")
+    trainer, _ = build_trainer(configs[0], tmp_path / "run", [lambda trainer, _: trainer.stop()])
+    trainer.train()
+    trainer, _ = build_trainer(configs[0], tmp_path / "run")
+    trainer.train(resume=True)
+    assert trainer.learner.diverged == {1}
+    for one, other in zip(trainer.metrics.rows[::2], expected[::2], strict=True):
+        assert {key: one[key] for key in other} == other
+    mine = [parameter.detach()[0] for parameter in trainer.learner.optimizer.parameters]
+    assert_close(mine, [weight[0] for weight in weights], rtol=0, atol=0)
+
+    result = run(configs[0], tmp_path / "whole")
+    assert result == read_result(tmp_path / "whole")
+    assert result.diverged == (1,)
+    assert result.success_rate == result.per_replica[0].success_rate
+    assert [len(group.final) for group in read_groups([tmp_path / "whole"])] == [1]
 
 
 @pytest.fixture
