@@ -18,6 +18,7 @@ from bbq_torchrl.settings import ABOVE_ZERO, at_least, check, one_of
 
 Target = Literal["mean", "draw"]
 TARGET = one_of(*get_args(Target))
+_JITTER = 1e-10  # on the diagonal of a precision, as a share of its largest entry
 
 
 class GPLoss(OneStepQLoss):
@@ -120,10 +121,11 @@ class GPLoss(OneStepQLoss):
         rows.auto_batch_size_(2)
         gammas = self.value_estimator.gamma.expand(self.replicas).reshape(lead)
         out = []
-        for replica, gamma in enumerate(gammas):
-            own = rows[replica]
-            own = own if valid is None else own[valid.reshape(lead, -1)[replica]]
-            out.append(self._fit(replica, own, gamma))
+        with torch.autocast(reward.device.type, enabled=False):
+            for replica, gamma in enumerate(gammas):
+                own = rows[replica]
+                own = own if valid is None else own[valid.reshape(lead, -1)[replica]]
+                out.append(self._fit(replica, own, gamma))
         means = torch.stack(out, -1).view(3, *self.replicas)
         return TensorDict(dict(zip(("loss_value", "td_error", "q_value"), means, strict=True)))
 
@@ -134,14 +136,15 @@ class GPLoss(OneStepQLoss):
     def _fit(self, replica: int, rows: TensorDictBase, gamma: Tensor) -> Tensor:
         """Fits a replica to its transitions [N]; returns the means of :meth:`fit`, [3]."""
         network, std = self.network, self.noise_std
-        mean, factor = network.of_replica(replica)
+        mean, kept = network.of_replica(replica)
         index, action = rows["index"], rows["index"].squeeze(-1)
         # the values of the last fit, whose features are other ones
         values = network.features_of(replica, rows["after"])[0] @ mean.mT
         network.features.choose_(rows["state"], replica)
-        phi, _ = network.features_of(replica, rows["state"])
+        phi = network.features_of(replica, rows["state"])[0].double()
         phi_after, rest = network.features_of(replica, rows["after"])
-        factor.copy_(posterior_factors(phi, action, len(mean), network.prior_std, std))
+        factor = posterior_factors(phi, action, len(mean), network.prior_std, std)
+        kept.copy_(factor)
         of_all = torch.zeros_like(action)
         shared = posterior_factors(phi, of_all, 1, self.value_std, std)
         deviation: Tensor | float = 0.0
@@ -150,13 +153,15 @@ class GPLoss(OneStepQLoss):
         for _ in range(self.sweeps):
             best = masked(values + deviation, rows.get("legal", None)).amax(-1, keepdim=True)
             target = rows["reward"] + gamma * torch.where(rows["terminated"], 0, best)
+            target = target.double()
             prior = posterior_means(shared, phi, of_all, target.squeeze(-1), std)  # [1, M]
             excess = (target - phi @ prior.mT).squeeze(-1)
-            mean.copy_(prior + posterior_means(factor, phi, action, excess, std))
+            fitted = prior + posterior_means(factor, phi, action, excess, std)
+            mean.copy_(fitted)
             values = phi_after @ mean.mT
-        chosen = (phi @ mean.mT).gather(-1, index)
+        chosen = (phi @ fitted.mT).gather(-1, index)
         error = target - chosen
-        return torch.stack([error.square().mean(), error.abs().mean(), chosen.mean()])
+        return torch.stack([error.square().mean(), error.abs().mean(), chosen.mean()]).to(mean)
 
 
 def posterior_factors(
@@ -164,7 +169,8 @@ def posterior_factors(
 ) -> Tensor:
     """Returns F [A, M, M] with Fᵀ F = (I / p² + Σ φ φᵀ / σ²)⁻¹, each action's posterior covariance.
 
-    The sum is over the action's rows. One Cholesky decomposition an action, in float64.
+    The sum is over the action's rows. One Cholesky decomposition an action, in the features' dtype:
+    float64 for many rows with little noise.
 
     Args:
         features: φ, shape [N, M].
@@ -183,9 +189,9 @@ def posterior_factors(
     counts = action.bincount(minlength=actions).tolist()
     factors = features.new_empty(actions, size, size)
     for number, rows in enumerate(features[action.argsort(stable=True)].split(counts)):
-        precision = (rows.mT @ rows).double() / noise_std**2
-        precision.diagonal().add_(prior_std**-2)
-        root = torch.linalg.cholesky(precision).to(features)
+        precision = rows.mT @ rows / noise_std**2
+        precision.diagonal().add_(prior_std**-2 + _JITTER * precision.diagonal().max())
+        root = torch.linalg.cholesky(precision)
         torch.linalg.solve_triangular(root, one, upper=False, out=factors[number])
     return factors
 

@@ -51,6 +51,7 @@ class AgentOption(Option):
         provides: the features that exploration can use: any of ``posterior``, ``heads``, ``noise``,
             ``values`` (a Q-value for each action), or a word that your strategy requires.
         explores_by: the default strategy.
+        buffer_capacity: the default of ``protocol.capacity``; None: the protocol's.
         modes: the modes of :meth:`make_evaluation`, if the agent has several policies.
     """
 
@@ -62,6 +63,7 @@ class AgentOption(Option):
 
     provides: ClassVar[tuple[str, ...]] = ("values",)
     explores_by: ClassVar[str] = "epsilon_greedy"
+    buffer_capacity: ClassVar[int | None] = None
     modes: ClassVar[tuple[str, ...]] = ()
     weight_decay = 0.0  # no key, unless an agent makes it one
 
@@ -255,7 +257,10 @@ class Bootstrap(AgentOption):
 @register
 @dataclass
 class GP(AgentOption):
-    """A Gaussian process for each action, fitted in closed form once a round."""
+    """A Gaussian process for each action, fitted in closed form once a round.
+
+    It keeps all transitions: ``protocol.capacity`` is 40,000 unless you set it.
+    """
 
     name: str = option("gp")
     inducing: int = setting(512, integers(1, 10_000), "inducing states of the kernel's features")
@@ -266,6 +271,7 @@ class GP(AgentOption):
 
     provides: ClassVar[tuple[str, ...]] = ("posterior", "values")
     explores_by: ClassVar[str] = "thompson"
+    buffer_capacity: ClassVar[int | None] = 40_000
     modes: ClassVar[tuple[str, ...]] = EVALUATION_MODES
 
     def make_actor(self, task: Task) -> QValueActor:

@@ -219,13 +219,17 @@ def register_options() -> None:
                 continue
             _stored.add(option)
             store.store(name=f"_{group}_{name}", node=option)
+            if capacity := getattr(option, "buffer_capacity", None):
+                store.store(name=f"_{group}_{name}_buffer", node={"capacity": capacity})
             if not (conf_folder() / group / f"{name}.yaml").is_file():
                 store.store(group=group, name=name, node={"defaults": defaults(option)})
 
 
 def defaults(option: type[Option]) -> list[Any]:
-    """Returns the defaults list of an option: its schema, and an agent's default strategy."""
-    schema = f"/_{option.group}_{option.name}@_here_"
+    """Returns the defaults list of an option: its schema, and an agent's strategy and buffer."""
+    schema = f"/_{option.group}_{option.name}"
     chosen = getattr(option, "explores_by", None)
-    own = [{"override /explore@_global_.explore": chosen}] if chosen else []
-    return [schema, *own, "_self_"]
+    own: list[Any] = [{"override /explore@_global_.explore": chosen}] if chosen else []
+    if getattr(option, "buffer_capacity", None):
+        own.insert(0, f"{schema}_buffer@_global_.protocol")
+    return [f"{schema}@_here_", *own, "_self_"]

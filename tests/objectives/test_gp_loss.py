@@ -83,6 +83,31 @@ def test_drawn_targets_are_those_of_one_draw_in_all_sweeps():
     assert network.deviation(0, *phi_after).detach().std() > 0.1
 
 
+@pytest.mark.parametrize("stds", [(1e-2, 2.0, 6.0), (1e-8, 2.0, 6.0), (1e-15, 1e15, 1e15)])
+def test_with_hardly_any_noise_or_prior_a_value_is_the_mean_of_its_rewards(stds):
+    noise_std, prior_std, value_std = stds
+    states, count = torch.randn(20, FEATURES).gt(0.5).float().unique(dim=0), 3_000
+    state, action = torch.randint(len(states), (count,)), torch.randint(2, (count,))
+    reward = torch.randn(count, 1)
+    ends = {"reward": reward, "terminated": torch.ones(count, 1).bool()}
+    data = TensorDict(
+        {
+            "observation": states[state],
+            "action": action,
+            "next": {**ends, "observation": states[state]},
+        },
+        [count],
+    )
+    network = GaussianProcess(StateFeatures(FEATURES, 32), 2, prior_std=prior_std)
+    actor = q_actor(network, Categorical(2), action_mask_key=None)
+    with torch.autocast("cpu"):
+        GPLoss(actor, noise_std=noise_std, value_std=value_std).fit(data)
+    cell = state * 2 + action
+    sums = torch.zeros(2 * len(states)).index_add(0, cell, reward[:, 0])
+    expected = (sums / cell.bincount(minlength=2 * len(states))).view(-1, 2)
+    torch.testing.assert_close(network(states, "mean").detach(), expected, rtol=0, atol=0.01)
+
+
 @pytest.mark.parametrize("target", ["mean", "draw"])
 def test_a_replica_is_fitted_bitwise_as_next_to_others_and_padding_is_left_out(target):
     loss, data = gp_loss((3,), target=target), transitions((3,), (50,))
