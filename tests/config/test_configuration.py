@@ -135,6 +135,7 @@ def test_a_list_is_shared_out_among_the_replicas(tmp_path):
         ("agent=gp spike=imitate", "spike.margin"),
         ("spike=imitate spike.protect=false", "spike.margin"),
         ("spike=none spike.dialogues=5", "spike.dialogues"),
+        ("spike=imitate spike.dialogues=0", "spike.dialogues"),
         (
             "explore=epsilon_greedy 'explore.eps_init=[.1,.3]' explore.eps_end=.2",
             "explore.eps_init",

@@ -19,6 +19,7 @@ def test_the_mixes_have_the_names_that_are_allowed():
 def test_users_without_differences_are_those_of_the_paper():
     assert profiles_of([{"share": 0.5}, {"share": 0.5}]) == ()
     assert profiles_of([{"share": 0.5}, {"share": 0.5, "tells": [1, 1]}]) != ()
+    assert len(profiles_of([{"share": 0.333, "insists": 1}] * 3)) == 3
 
 
 @pytest.mark.parametrize(
