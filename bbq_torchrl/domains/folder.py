@@ -42,7 +42,7 @@ from bbq_torchrl.settings import (
     filled,
     setting,
 )
-from bbq_torchrl.utils.files import read_yaml, write_text
+from bbq_torchrl.utils.files import csv_text, read_yaml, write_text
 from bbq_torchrl.utils.text import FaultsError, shown
 
 if TYPE_CHECKING:
@@ -337,10 +337,6 @@ def save_data(
         goals: the users' goals.
         error_values: slot to values.
     """
-    table = io.StringIO()
-    writer = csv.DictWriter(table, fieldnames=slots, lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(records)
     dump = partial(json.dumps, ensure_ascii=False)
     lines = (
         dump({"constraints": dict(goal.constraints), "requests": list(goal.requests)}) + "\n"
@@ -348,7 +344,7 @@ def save_data(
     )
     values = {slot: list(texts) for slot, texts in error_values.items()}
     for name, text in (
-        (RECORDS_FILE, table.getvalue()),
+        (RECORDS_FILE, csv_text(records, slots)),
         (GOALS_FILE, "".join(lines)),
         (VALUES_FILE, dump(values, indent=1) + "\n"),
     ):

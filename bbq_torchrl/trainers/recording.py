@@ -2,12 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 import logging
 import math
 import multiprocessing
 from collections.abc import Mapping, Sequence
-from io import StringIO
 from pathlib import Path
 from statistics import fmean
 from typing import Any, Protocol
@@ -17,7 +15,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from bbq_torchrl.trainers.errors import TrainingError
-from bbq_torchrl.utils.files import write_text
+from bbq_torchrl.utils.files import csv_text, write_text
 
 MetricRow = dict[str, int | float]
 """The metrics of one round and replica."""
@@ -130,14 +128,8 @@ def _per_replica(name: str, value: float | Tensor | Sequence[float], replicas: i
 
 
 def _csv(rows: Sequence[MetricRow], *, header: bool) -> str:
-    buffer = StringIO()
-    writer = csv.DictWriter(buffer, fieldnames=list(rows[0]), lineterminator="\n")
-    if header:
-        writer.writeheader()
-    writer.writerows(
-        {name: "" if value != value else value for name, value in row.items()} for row in rows
-    )
-    return buffer.getvalue()
+    finite = ({name: "" if cell != cell else cell for name, cell in row.items()} for row in rows)
+    return csv_text(finite, rows[0], header=header)
 
 
 _LOG = logging.getLogger(__name__)

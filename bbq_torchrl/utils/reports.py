@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import re
 from dataclasses import dataclass
-from io import BytesIO, StringIO
+from io import BytesIO
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
-from bbq_torchrl.utils.files import write_bytes, write_text
+from bbq_torchrl.utils.files import csv_text, write_bytes, write_text
 from bbq_torchrl.utils.text import EMPTY
 
 if TYPE_CHECKING:
@@ -65,11 +64,7 @@ class Table:
             return
         lines = [_line(row) for row in self.rows]
         names = dict.fromkeys(name for line in lines for name in line)
-        text = StringIO()
-        writer = csv.DictWriter(text, fieldnames=list(names), lineterminator="\n")
-        writer.writeheader()
-        writer.writerows(lines)
-        write_text(file, text.getvalue())
+        write_text(file, csv_text(lines, names))
 
 
 @dataclass(frozen=True)

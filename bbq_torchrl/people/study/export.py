@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import re
 from dataclasses import asdict
@@ -19,7 +17,7 @@ from bbq_torchrl.people.study.database import (
 )
 from bbq_torchrl.people.study.outcomes import report_names
 from bbq_torchrl.people.study.storage import hashed
-from bbq_torchrl.utils.files import write_text
+from bbq_torchrl.utils.files import csv_text, write_text
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -133,9 +131,8 @@ def defused(cell: Any) -> Any:
 
 def _write_csv(file: Path, rows: Sequence[Mapping[str, Any]]) -> None:
     """Writes rows of the same keys, which head the columns."""
-    text = io.StringIO()
-    csv.writer(text).writerows([*rows[:1], *(map(defused, row.values()) for row in rows)])
-    write_text(file, f"\ufeff{text.getvalue()}")
+    cells = ({name: defused(cell) for name, cell in row.items()} for row in rows)
+    write_text(file, f"\ufeff{csv_text(cells, rows[0]) if rows else ''}")
 
 
 _PARTICIPANTS = f"""
