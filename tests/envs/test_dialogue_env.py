@@ -51,6 +51,9 @@ def test_specs_describe_what_the_environment_gives(domain_name, batch_size, sche
             assert where[key].shape == (*batch_size, width), key
             assert where[key].dtype == (dtype or torch.float32), key
     assert (env.action_spec.shape, env.action_spec.n) == (batch_size, len(domain.actions))
+    goals = env.observation_spec["goal_id"].space
+    assert (goals.low == 0).all()
+    assert (goals.high == len(domain.goals) - 1).all()
 
 
 @pytest.mark.parametrize("batch_size", [(6,), (2, 3)])
