@@ -93,6 +93,7 @@ class RunResult:
         commit: hash of the code's commit, the last one for a resumed training; None outside a
             checkout.
         clean: whether the code was as committed; None if unknown.
+        warnings: a sentence for each replica whose mean Q was outside the range of returns.
         diverged: replicas whose loss became NaN or infinite, which the means leave out.
     """
 
@@ -120,6 +121,7 @@ class RunResult:
     skipped: tuple[str, ...] = ()
     commit: str | None = None
     clean: bool | None = None
+    warnings: tuple[str, ...] = ()
     diverged: tuple[int, ...] = ()
 
     @property
@@ -298,6 +300,7 @@ def result_of(plain: Mapping[str, Any]) -> RunResult:
             **plain,
             "per_replica": replicas,
             "skipped": (*plain["skipped"],),
+            "warnings": (*plain.get("warnings", ()),),
             "diverged": (*plain.get("diverged", ()),),
         },
     )

@@ -51,6 +51,7 @@ class AgentOption(Option):
         provides: the features that exploration can use: any of ``posterior``, ``heads``, ``noise``,
             ``values`` (a Q-value for each action), or a word that your strategy requires.
         explores_by: the default strategy.
+        remedy: what to do when learning diverges.
         buffer_capacity: the default of ``protocol.capacity``; None: the protocol's.
         modes: the modes of :meth:`make_evaluation`, if the agent has several policies.
     """
@@ -64,6 +65,7 @@ class AgentOption(Option):
     provides: ClassVar[tuple[str, ...]] = ("values",)
     explores_by: ClassVar[str] = "epsilon_greedy"
     buffer_capacity: ClassVar[int | None] = None
+    remedy: ClassVar[str] = "lower agent.lr"
     modes: ClassVar[tuple[str, ...]] = ()
     weight_decay = 0.0  # no key, unless an agent makes it one
 
@@ -272,6 +274,7 @@ class GP(AgentOption):
     provides: ClassVar[tuple[str, ...]] = ("posterior", "values")
     explores_by: ClassVar[str] = "thompson"
     buffer_capacity: ClassVar[int | None] = 40_000
+    remedy: ClassVar[str] = "raise agent.noise_std, or lower agent.prior_std and agent.value_std"
     modes: ClassVar[tuple[str, ...]] = EVALUATION_MODES
 
     def make_actor(self, task: Task) -> QValueActor:

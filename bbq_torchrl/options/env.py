@@ -83,6 +83,10 @@ class EnvOption(Option):
     def steps(self) -> int:
         """Returns the largest number of steps of an episode."""
 
+    def returns(self, gamma: float) -> tuple[float, float] | None:
+        """Returns bounds of the discounted sum of an episode's rewards; None if unknown."""
+        return None
+
     def policies(self, domain: Domain | None) -> tuple[str, ...]:
         """Returns the names of the scripted policies, without ``random``."""
         return ()
@@ -185,6 +189,12 @@ class FullDomain(EnvOption):
     def steps(self) -> int:
         """Half of ``max_turn``, which counts both sides, and one more act of the agent."""
         return self.max_turn // 2 + 1
+
+    def returns(self, gamma: float) -> tuple[float, float]:
+        """The rewards of the longest dialogue's turns, and the worst or best end at once."""
+        turns = self.turn_reward * sum(gamma**turn for turn in range(self.steps()))
+        ends = (self.success_reward, self.failure_reward, 0.0)
+        return min(ends) + min(turns, 0.0), max(ends) + max(turns, 0.0)
 
     def policies(self, domain: Domain | None) -> tuple[str, ...]:
         """The domain's policies."""

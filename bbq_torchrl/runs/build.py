@@ -15,7 +15,7 @@ import bbq_torchrl
 from bbq_torchrl.data.replay import TRANSITION_KEYS
 from bbq_torchrl.evaluation.rollouts import RoundEvaluator
 from bbq_torchrl.options import Task
-from bbq_torchrl.options.task import action_mask_key, replica_values
+from bbq_torchrl.options.task import action_mask_key, replica_values, spread
 from bbq_torchrl.runs.folders import config_fingerprint, finished_result
 from bbq_torchrl.settings import ConfigError, walk
 from bbq_torchrl.trainers import (
@@ -31,7 +31,7 @@ from bbq_torchrl.utils.files import CHECKPOINTS, METRICS, RESULT
 from bbq_torchrl.utils.text import FaultsError, sentence, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
+    from collections.abc import Callable, Mapping, Sequence
 
     from tensordict import NestedKey
     from torch import Tensor
@@ -40,6 +40,8 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config, EvaluateConfig
+    from bbq_torchrl.trainers import RoundTrainer
+    from bbq_torchrl.trainers.recording import MetricRow
 
 _LOG = logging.getLogger(__name__)
 
@@ -269,6 +271,39 @@ def values_as_metrics(config: Config) -> dict[str, Callable[[], Tensor]]:
         for key in per_replica[0]
     }
     return {key: column.clone for key, column in columns.items()}
+
+
+def divergence(config: Config, rows: Sequence[MetricRow]) -> dict[int, str]:
+    """Returns a sentence by replica, for those whose mean Q left the range of returns.
+
+    Without a known range, as with an intrinsic reward, nothing is found.
+    """
+    found: dict[int, str] = {}
+    gammas = spread(config.agent.gamma, config.replicas)
+    ranges = [config.env.returns(gamma) for gamma in gammas]
+    for row in rows if config.intrinsic.name == "none" else ():
+        replica, value = int(row["replica"]), row.get("q_value", 0.0)
+        low, high = ranges[replica] or (value, value)
+        if replica not in found and (value < low or value > high):
+            found[replica] = (
+                f"learning diverges: the mean Q of replica {replica} is {value:.4g} in round "
+                f"{row['round']}, and returns are from {low:.4g} to {high:.4g}; "
+                f"{config.agent.remedy}"
+            )
+    return found
+
+
+def divergence_warning(config: Config) -> Callable[[RoundTrainer, Sequence[MetricRow]], None]:
+    """Returns a callback of the trainer that logs the first of each :func:`divergence`."""
+    logged: set[int] = set()
+
+    def warn(trainer: RoundTrainer, rows: Sequence[MetricRow]) -> None:
+        for replica, text in divergence(config, rows).items():
+            if replica not in logged:
+                logged.add(replica)
+                _LOG.warning("%s", text)
+
+    return warn
 
 
 _SECONDS = 30.0  # git on a network drive is slow, but must not block a run

@@ -28,6 +28,7 @@ from bbq_torchrl.evaluation.run_result import (
 )
 from bbq_torchrl.options.task import replica_values
 from bbq_torchrl.protocols import enter_round
+from bbq_torchrl.runs.build import divergence
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import NonFiniteWeightsError, RunFolderGoneError
 from bbq_torchrl.utils.files import CURVE, RESULT
@@ -122,6 +123,7 @@ def final_result(
         clean=code.clean,
         diverged=tuple(sorted(trainer.learner.diverged)),
         skipped=() if domain is None else domain.skipped,
+        warnings=(*divergence(config, rows).values(),),
         **_others(config, domain),
     )
     write_json(result, folder / RESULT)

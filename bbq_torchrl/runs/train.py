@@ -212,7 +212,8 @@ def build_trainer(
         evaluator=build.round_evaluator(config, domain, agent.actor),
         round_metrics={**agent.metrics, **build.values_as_metrics(config)},
         loggers=[tracker] if tracker else [],
-        callbacks=callbacks,
+        callbacks=(*callbacks, build.divergence_warning(config)),
+        remedy=config.agent.remedy,
         config_fingerprint=config_fingerprint(config),
     )
     return trainer, agent

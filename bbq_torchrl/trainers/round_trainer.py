@@ -80,6 +80,7 @@ class RoundTrainer:
             the end of the first round.
         loggers: TorchRL loggers, which get the rows of ``metrics.csv``.
         callbacks: functions called after every round.
+        remedy: what to do when learning diverges, for the error message.
         config_fingerprint: the settings that the training depends on, as JSON values by name, saved
             in every checkpoint. Checkpoints with others are rejected.
 
@@ -103,6 +104,7 @@ class RoundTrainer:
     round_metrics: Mapping[str, Callable[[], float | Tensor]] = field(default_factory=dict)
     loggers: Sequence[LogsMetrics] = ()
     callbacks: Sequence[RoundCallback] = ()
+    remedy: str = "lower the learning rate"
     config_fingerprint: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -270,7 +272,7 @@ class RoundTrainer:
             noun = "replica" if len(broken) == 1 else "replicas"
             told = (
                 f"the loss of {noun} {', '.join(map(str, broken))} is not finite in round "
-                f"{round_number}; the state is saved in {saved}"
+                f"{round_number}: {self.remedy}; the state is saved in {saved}"
             )
             self.learner.diverged |= {*broken}
             if len(self.learner.diverged) == self.replicas:

@@ -18,6 +18,8 @@ from bbq_torchrl import load_run
 from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation.rollouts import evaluate as evaluate_policy
 from bbq_torchrl.evaluation.run_result import read_result
+from bbq_torchrl.runs.build import divergence
+from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import main as train_main
 from bbq_torchrl.runs.usage import usage
 from bbq_torchrl.settings import ConfigError
@@ -151,10 +153,38 @@ def test_jobs_find_a_domain_from_where_the_sweep_began(restaurant_folder, tmp_pa
     assert read_result(tmp_path / "sweep" / "job").domain == "restaurant"
 
 
+def test_a_mean_q_that_no_return_can_have_is_warned_of_and_in_the_result(tmp_path):
+    command = "agent=dqn agent.lr=10 replicas=2 hydra.run.dir=run"
+    train(command, *TINY, cwd=tmp_path)
+    found = read_result(tmp_path / "run").warnings
+    assert len(found) == 2
+    assert "agent.lr" in found[0]
+    log = (tmp_path / "run" / "train.log").read_text()
+    assert all(log.count(text) == 1 for text in found)
+
+
+@pytest.mark.parametrize(
+    ("chosen", "value", "key"),
+    [
+        ("agent=dqn", 40.0, None),  # success at once
+        ("agent=dqn", 40.1, "agent.lr"),
+        ("agent=dqn", -18.0, None),  # failure, and ten turns' worth of -1 at most
+        ("agent=dqn", -20.1, "agent.lr"),
+        ("agent=gp", 40.1, "agent.noise_std"),
+        ("agent=dqn intrinsic=vime", 99.0, None),  # a bonus of any size
+    ],
+)
+def test_the_range_of_returns_is_that_of_rewards_and_discount(chosen, value, key):
+    rows = [{"round": 3, "replica": 1, "q_value": value}]
+    found = divergence(compose([*chosen.split(), "replicas=2"]), rows)
+    assert [*found] == ([] if key is None else [1])
+    assert all(key in text for text in found.values())
+
+
 def test_a_loss_that_is_not_finite_stops_the_run_with_its_state_saved(tmp_path):
     command = "agent.lr=1e30 replicas=2 hydra.run.dir=run"
     _, message = train(command, *SMALL, cwd=tmp_path, code=1)
-    assert "the loss of replicas 0, 1 is not finite in round 0; the state is saved in" in message
+    assert "the loss of replicas 0, 1 is not finite in round 0: lower agent.lr; the" in message
     assert "Traceback" not in message
     assert (tmp_path / "run" / "checkpoint" / "failed-round-000000.torchrl").is_file()
     assert not (tmp_path / "run" / "result.json").exists()
