@@ -281,7 +281,7 @@ class Generator:
 
 
 def _polished(text: str) -> str:
-    """Returns a sentence with "1 ticket", "an e-bike", "tomorrow" for "on tomorrow", and "Monday"."""
+    """Returns a sentence with "1 ticket", "an e-bike", "tomorrow" without "on", and "Monday"."""
     text = _AN.sub(r"\1n ", text)
     text = _PROPER.sub(lambda found: found[0].title(), _PREPOSITION.sub("", text))
     return _ONE.sub(lambda found: f"{found[1]} {_SINGULAR[found[2]]}", text)
