@@ -54,15 +54,12 @@ class Example:
         tags: the slot whose value each word is part of, else :data:`OUTSIDE`.
         frame: the meaning.
         question: the agent's last act; :data:`OPENING` before its first.
-        capitals: the words typed with a capital, as names are; see
-            :func:`~bbq_torchrl.people.language.words.capitalized`.
     """
 
     words: list[str]
     tags: list[str]
     frame: Frame
     question: Frame
-    capitals: frozenset[str] = frozenset()
 
 
 def tag(pieces: Sequence[Piece]) -> tuple[list[str], list[str]]:
@@ -112,11 +109,9 @@ def make_examples(
 
 
 def spoiled(examples: Sequence[Example], seed: int) -> list[Example]:
-    """Returns people's sentences, spoiled like the grammar's, half of them without capitals."""
+    """Returns people's sentences, spoiled like the grammar's."""
     rng = random.Random(seed)
-    found = [_spoil(example, rng, 1.0) for example in examples]
-    found[1::2] = [replace(example, capitals=frozenset()) for example in found[1::2]]
-    return found
+    return [_spoil(example, rng, 1.0) for example in examples]
 
 
 def _spoil(example: Example, rng: random.Random, noise: float) -> Example:

@@ -232,7 +232,6 @@ class _Names:
     def __init__(self, lexicon: Lexicon, slot: str) -> None:
         names = lexicon.keys[slot]
         self._keys = list(names.values())
-        self._joined = [compact(name) for name in names]
         # No sets: sums and ties would depend on the hash order, which differs between processes.
         self._words = [dict.fromkeys(_important_words(name)) for name in names]
         count = Counter(word for words in self._words for word in words)
@@ -250,17 +249,7 @@ class _Names:
 
     def scores(self, text: str) -> dict[str, float]:
         """Returns the fit of each key, from 0 to 1, without poor fits."""
-        process, similarity = _rapidfuzz()
-        joined = compact(text)
         scored: dict[str, float] = {}
-        for _, score, index in process.extract(
-            joined, self._joined, scorer=similarity, score_cutoff=0.66, limit=6
-        ):
-            scored[self._keys[index]] = max(score, scored.get(self._keys[index], 0.0))
-        if len(joined) >= 5:
-            for name, key in zip(self._joined, self._keys, strict=True):
-                if name.startswith(joined):
-                    scored[key] = max(0.85, scored.get(key, 0.0))
         likenesses = [(word, self._like(word)) for word in dict.fromkeys(_important_words(text))]
         total = sum(
             max((self._weight[other] for other in like), default=0.0)

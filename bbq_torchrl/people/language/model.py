@@ -219,11 +219,9 @@ class Model:
     net: IntentNet
 
     @torch.no_grad()
-    def read(
-        self, words: Sequence[str], question: Frame, capitals: frozenset[str] = frozenset()
-    ) -> Reading:
+    def read(self, words: Sequence[str], question: Frame) -> Reading:
         """Returns the reading of a sentence of at least one word."""
-        tags, chance = self.tagger(self.features.of_words(words, question, capitals))
+        tags, chance = self.tagger(self.features.of_words(words, question))
         named = self.features.of_sentence(words, tags, question)
         acts, requests, dont_care = self.net(*self.net.encode([named]))
         slot = asked_slot(question)
@@ -278,7 +276,7 @@ def fit(
     # "Friday or Saturday" informs neither, but must not teach that these are not names.
     named = [e for e in examples if e.frame != Frame("inform") or {*e.tags} != {OUTSIDE}]
     tagger = Tagger.train(
-        [features.of_words(e.words, e.question, e.capitals) for e in named],
+        [features.of_words(e.words, e.question) for e in named],
         [e.tags for e in named],
         steps,
         tick,

@@ -73,24 +73,19 @@ class Features:
         near = fuzz.extractOne(word, self._long, scorer=distance.OSA.distance, score_cutoff=1)
         return UNKNOWN if near is None else str(near[0])
 
-    def of_words(
-        self, words: Sequence[str], question: Frame, capitals: frozenset[str] = frozenset()
-    ) -> list[list[str]]:
-        """Returns the features of each word; ``capitals`` are those typed with a capital."""
+    def of_words(self, words: Sequence[str], question: Frame) -> list[list[str]]:
+        """Returns the features of each word."""
         spelled = [self.spelled(word) for word in words]
         classes = [_class(word) for word in spelled]
         found = self._windows(spelled)
         self._quantities(words, found)
         asked = _question(question)
-        # Capitals of known names are ignored, so that these are also found in lower case.
-        is_new = [word in capitals and not names for word, names in zip(words, found, strict=True)]
         own = []
         for at, (word, kind) in enumerate(zip(spelled, classes, strict=True)):
             raw = words[at]
             row = [f"w={word}", f"c={kind}", f"s={raw[-3:]}", f"p={raw[:3]}", *found[at]]
             row += [f"in:{slot}" for slot in sorted(self._part.get(word, ()))]
             row += [f"noun:{slot}" for slot in self._nouns.get(word, ())]
-            row += ["capital"] if is_new[at] else []
             own.append(row)
         rows = []
         for at in range(len(words)):
@@ -101,7 +96,6 @@ class Features:
                     row.append(f"{step}:edge")
                     continue
                 row += [f"{step}:w={spelled[near]}", f"{step}:c={classes[near]}"]
-                row += [f"{step}:capital"] if is_new[near] else []
                 if abs(step) == 1:
                     row += [f"{step}:{name}" for name in found[near]]
                     pair = "_".join(spelled[min(at, near) : max(at, near) + 1])

@@ -19,7 +19,6 @@ from bbq_torchrl.people.language.words import (
     ENGLISH,
     OUTSIDE,
     SMALL,
-    capitalized,
     compact,
     spans_of,
     tokenize,
@@ -214,7 +213,7 @@ def as_examples(lines: Sequence[Line], lexicon: Lexicon) -> list[Example]:
             if place is not None:
                 tags[place.start : place.stop] = [slot] * len(place)
         heard = without_unknown(frame)
-        examples.append(Example(words, tags, heard, question or OPENING, capitalized(text)))
+        examples.append(Example(words, tags, heard, question or OPENING))
     return examples
 
 
@@ -279,16 +278,13 @@ def varied(
     for example in examples:
         for _ in range(copies):
             words, tags, at = [], [], 0
-            capitals = example.capitals
             for slot, start, end in spans_of(example.tags):
                 value = rng.choice(lexicon.values(slot))
                 other = names.made_up(slot, rng) if rng.random() < _MADE_UP else []
                 other = other or tokenize(paraphrase(slot, value, rng))
                 words += [*example.words[at:start], *other]
                 tags += [*example.tags[at:start], *[slot] * len(other)]
-                if not capitals.isdisjoint(example.words[start:end]):
-                    capitals |= {*other} - SMALL
                 at = end
             words, tags = words + example.words[at:], tags + example.tags[at:]
-            found.append(replace(example, words=words, tags=tags, capitals=capitals))
+            found.append(replace(example, words=words, tags=tags))
     return found

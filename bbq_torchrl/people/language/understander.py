@@ -34,7 +34,7 @@ from bbq_torchrl.people.language.training_lines import (
     read_lines,
     varied,
 )
-from bbq_torchrl.people.language.words import capitalized, words_of
+from bbq_torchrl.people.language.words import words_of
 from bbq_torchrl.utils.files import write_bytes
 
 if TYPE_CHECKING:
@@ -161,7 +161,7 @@ class Understander:
         """Returns the temperature at which the confidence fits unlearned sentences best."""
         chances, right = [], []
         for example in examples:
-            frame, _, chance = self._read(example.words, example.question, example.capitals)
+            frame, _, chance = self._read(example.words, example.question)
             chances.append(chance)
             right.append(same_frame(frame, example.frame, self.lexicon))
         confidence = np.exp(np.array(chances) / _TEMPERATURES[:, None]).clip(1e-6, 1 - 1e-6)
@@ -180,7 +180,7 @@ class Understander:
                 is too long.
         """
         words = words_of(text)[:_MAX_WORDS]
-        frame, unclear, chance = self._read(words, question or OPENING, capitalized(text))
+        frame, unclear, chance = self._read(words, question or OPENING)
         return Understood(frame, math.exp(chance / self._temperature), unclear)
 
     def asks(self, understood: Understood) -> bool:
@@ -188,10 +188,10 @@ class Understander:
         return understood.confidence < self.threshold or bool(understood.unclear)
 
     def _read(
-        self, words: Sequence[str], question: Frame, capitals: frozenset[str]
+        self, words: Sequence[str], question: Frame
     ) -> tuple[Frame, tuple[Unclear, ...], float]:
         """Returns the frame of some words, the unclear words, and its log-probability."""
-        reading = self._model.read(words, question, capitals)
+        reading = self._model.read(words, question)
         return assemble(words, reading, question, self.lexicon)
 
     def save(self, path: str | Path) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 import unicodedata
 from collections.abc import Sequence
-from itertools import groupby, pairwise
+from itertools import groupby
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -28,9 +28,6 @@ def pairs(name: str) -> dict[str, str]:
     """Returns the pairs of an entry that is written as ``"word:other word:other"``."""
     return dict(pair.split(":") for pair in ENGLISH[name].split())
 
-
-BREAKS = frozenset((".", ";", "!", "?"))
-"""The marks between clauses."""
 
 _TOKEN = re.compile(
     r"\d{1,2}(?:[:.h]\d\d)?(?=\s?[ap]\.?m\b)"  # 7 of "7pm", 8.30 of "8.30 pm"
@@ -99,23 +96,6 @@ def words_of(text: str) -> list[str]:
     if not words:
         raise TextError("a message must have at least one word, number or mark")
     return words
-
-
-def capitalized(text: str) -> frozenset[str]:
-    """Returns the words inside a text's sentences that begin with a capital, as names do.
-
-    Small words and words all in capitals are left out.
-
-    Examples:
-        >>> sorted(capitalized("I liked Top Gun. Is Dune in IMAX?"))
-        ['dune', 'gun', 'top']
-    """
-    found = {
-        normalize(word)
-        for before, word in pairwise(_TOKEN.findall(legible(text)))
-        if word[0].isupper() and not word.isupper() and word[:2] != "I'" and before not in BREAKS
-    }
-    return frozenset(found - SMALL)
 
 
 def compact(text: str) -> str:

@@ -9,9 +9,8 @@ import pytest
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.people.language import Frame, Understander, read_lines
 from bbq_torchrl.people.language.asking import FOREIGN, OPENING
-from bbq_torchrl.people.language.corpus import make_examples, spoiled
+from bbq_torchrl.people.language.corpus import make_examples
 from bbq_torchrl.people.language.measure import calibration_error, calibration_floor
-from bbq_torchrl.people.language.sentence_features import Features
 from bbq_torchrl.people.language.training_lines import (
     Line,
     Names,
@@ -20,7 +19,7 @@ from bbq_torchrl.people.language.training_lines import (
     varied,
 )
 from bbq_torchrl.people.language.understander import cached_understander
-from bbq_torchrl.people.language.words import ENGLISH, SMALL
+from bbq_torchrl.people.language.words import ENGLISH
 from bbq_torchrl.utils.text import FaultsError
 
 DATA = Path(__file__).parents[2] / "data" / "language"
@@ -99,29 +98,6 @@ def test_a_line_is_learned_with_other_values_as_well(lexicon):
         cities.add(city)
     assert len(cities) > 10
     assert 2 <= made_up <= 15  # of 20 copies with two in five made up
-
-
-def test_a_copy_has_capitals_where_the_line_has_them(lexicon):
-    meant = Frame.parse("request(ticket) inform(moviename=wonka, city=reno)")
-    examples = as_examples([Line(None, "Please show Wonka in reno", meant)], lexicon)
-    assert examples[0].capitals == {"wonka"}
-    found = varied(examples, lexicon, lambda slot, value, rng: value, copies=20, seed=0)
-    for example in found:
-        tagged = zip(example.words, example.tags, strict=True)
-        title = {word for word, tag in tagged if tag == "moviename"}
-        assert title - SMALL <= example.capitals
-        assert {"please", "show", "in"}.isdisjoint(example.capitals)
-    kept = [bool(example.capitals) for example in spoiled(found, seed=0)]
-    assert kept == [at % 2 == 0 for at in range(len(found))]
-
-
-def test_a_capital_is_a_feature_of_words_that_no_name_has(lexicon):
-    features = Features(lexicon, ["is", "playing", "in"])
-    words, capitals = ["is", "xylqo", "playing", "in", "reno"], frozenset(("xylqo", "reno"))
-    rows = features.of_words(words, OPENING, capitals)
-    assert ["capital" in row for row in rows] == [False, True, False, False, False]
-    assert "1:capital" in rows[0]
-    assert "-1:capital" in rows[2]
 
 
 def test_a_name_that_is_not_known_is_learned_where_it_stands(lexicon):
