@@ -191,7 +191,7 @@ def read_runs(folder: Path) -> list[Replica]:
         for group in ("agent", "explore", "intrinsic")
     ):
         raise ValueError(f"{folder / CONFIG} is not the configuration of a run")
-    return [*_replicas(folder, config, result, metrics)]
+    return [*replicas_of(folder, config, result, metrics)]
 
 
 def _read_table(folder: Path) -> Iterator[Replica]:
@@ -203,7 +203,7 @@ def _read_table(folder: Path) -> Iterator[Replica]:
             columns = [column for column in rows[0] if any(row[column] for row in rows)]
             metrics = Metrics([numbers({key: row[key] for key in columns}) for row in rows])
             config = _nested(about["config"] | run["config"])
-            yield from _replicas(folder / name, config, result_of(run["result"]), metrics)
+            yield from replicas_of(folder / name, config, result_of(run["result"]), metrics)
 
 
 def _nested(flat_config: Mapping[str, Any]) -> dict[str, Any]:
@@ -218,7 +218,7 @@ def _nested(flat_config: Mapping[str, Any]) -> dict[str, Any]:
     return config
 
 
-def _replicas(
+def replicas_of(
     folder: Path, config: Mapping[str, Any], result: RunResult, metrics: Metrics
 ) -> Iterator[Replica]:
     """Yields the replicas of a run that did not diverge.

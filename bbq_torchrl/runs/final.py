@@ -13,7 +13,7 @@ import bbq_torchrl
 from bbq_torchrl.domains.domain import RANDOM_POLICY
 from bbq_torchrl.evaluation.curves import Metrics
 from bbq_torchrl.evaluation.figures import draw_run
-from bbq_torchrl.evaluation.finished_runs import Replica, agent_name
+from bbq_torchrl.evaluation.finished_runs import agent_name, replicas_of
 from bbq_torchrl.evaluation.groups import grouped, read_groups
 from bbq_torchrl.evaluation.rollouts import evaluate
 from bbq_torchrl.evaluation.run_result import (
@@ -34,7 +34,6 @@ from bbq_torchrl.trainers import NonFiniteWeightsError, RunFolderGoneError
 from bbq_torchrl.utils.files import CURVE, RESULT
 
 if TYPE_CHECKING:
-    from collections.abc import Sequence
     from pathlib import Path
 
     from tensordict.nn import TensorDictModuleBase
@@ -42,11 +41,9 @@ if TYPE_CHECKING:
     from torchrl.modules import QValueActor
 
     from bbq_torchrl.domains import Domain
-    from bbq_torchrl.evaluation.groups import Group
     from bbq_torchrl.options import Config
     from bbq_torchrl.runs.build import Checkout, Tracker
     from bbq_torchrl.trainers import EpisodeStats, RoundTrainer
-    from bbq_torchrl.trainers.recording import MetricRow
 
 _LOG = logging.getLogger(__name__)
 
@@ -139,9 +136,13 @@ def draw_curve(
     spike_policy: str | None,
 ) -> None:
     """Draws the learning curve from the metrics in memory, or in the folder of a finished run."""
-    rows = trainer.metrics.rows
+    rows, plain = trainer.metrics.rows, dataclasses.asdict(config)
     try:
-        groups = _groups(config, folder, result, rows) if rows else read_groups([folder])
+        groups = (
+            grouped(replicas_of(folder, plain, result, Metrics(rows)))
+            if rows
+            else read_groups([folder])
+        )
     except ValueError as error:
         raise ConfigError(f"the curve cannot be drawn: {error}") from error
     named = {"explore": result.explore, "env": result.env, "domain": result.domain}
@@ -155,14 +156,6 @@ def draw_curve(
         extensions=config.env.additions(domain),
         references=reference_lines(result.scripted, result.references),
     )
-
-
-def _groups(
-    config: Config, folder: Path, result: RunResult, rows: Sequence[MetricRow]
-) -> list[Group]:
-    metrics, plain = Metrics(rows), dataclasses.asdict(config)
-    numbers = sorted({*range(config.replicas)} - {*result.diverged})
-    return grouped(Replica(folder, number, plain, result, metrics) for number in numbers)
 
 
 def _others(config: Config, domain: Domain | None) -> dict[str, dict[str, float]]:
