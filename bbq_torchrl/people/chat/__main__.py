@@ -29,11 +29,13 @@ _KEY = "BBQ_ENDPOINT_KEY"
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code: 2 if refused."""
     given = _parser().parse_args(arguments)
-    if "endpoint" in (given.nlu, given.nlg) and not (given.url and given.model):
+    asks = "endpoint" in (given.nlu, given.nlg)
+    if asks and not (given.url and given.model):
         raise ConfigError("--nlu endpoint and --nlg endpoint need --url and --model")
     rules = _rules(given.control)
-    for package, module in (("rich", "rich"), ("prompt_toolkit", "prompt_toolkit")):
-        needed(package, module, "chat")  # before anything that takes time
+    extras = {"rich": "chat", "prompt_toolkit": "chat"} | ({"httpx": "llm"} if asks else {})
+    for library, extra in extras.items():
+        needed(library, library, extra)  # before anything that takes time
     if given.config_dir is not None:
         load_folder(given.config_dir)
 
@@ -56,6 +58,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     from bbq_torchrl.people.language.understander import cached_understander
 
     torch.set_num_threads(1)
+    endpoint = Endpoint(given.url, given.model, os.environ.get(_KEY, ""))
     screen = console()
     read = _lines() if given.plain or not sys.stdin.isatty() else prompt()
     agent = TrainedAgent(given.run, replica=given.replica, mode=given.mode, weights=given.weights)
@@ -66,7 +69,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
     else:
         own = cached_understander(agent.domain, given.labeled, screen.print)
     speak = Generator(spelling.domain)
-    endpoint = Endpoint(given.url, given.model, os.environ.get(_KEY, ""))
     nlu = (
         EndpointUnderstander(endpoint, own, output.print_error) if given.nlu == "endpoint" else own
     )

@@ -132,8 +132,20 @@ def test_what_cannot_be_is_refused_in_a_sentence(runs, capsys, monkeypatch, argu
     assert "Traceback" not in error
 
 
-def test_a_missing_extra_is_told_before_a_run_is_looked_for(monkeypatch, capsys):
+@pytest.mark.parametrize(
+    ("library", "told"), [("rich", "chat]"), ("httpx", "llm]"), (None, "endpoint's key")]
+)
+def test_what_is_missing_is_told_before_a_run_is_looked_for(monkeypatch, capsys, library, told):
     needed.cache_clear()
-    monkeypatch.setitem(sys.modules, "rich", None)
-    assert __main__.main(["nowhere"]) == 2
-    assert "chat]" in capsys.readouterr().err
+    monkeypatch.setenv("BBQ_ENDPOINT_KEY", "secret\n")
+    if library is not None:
+        monkeypatch.setitem(sys.modules, library, None)
+    assert (
+        __main__.main(
+            ["nowhere", "--nlu", "endpoint", "--url", "http://x/v1", "--model", "m", "--plain"]
+        )
+        == 2
+    )
+    error = capsys.readouterr().err
+    assert told in error
+    assert "secret" not in error
