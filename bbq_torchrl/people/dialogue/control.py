@@ -176,8 +176,11 @@ class Control:
         return ~(self._is_request & is_implied[..., self._slot])
 
     def _news(self, state: TensorDictBase) -> torch.Tensor:
-        is_asked = self._open(state)[..., self._slot]
-        return ~((self._is_told & ~is_asked) | self._is_empty)
+        is_refused = state["heard_act"] == self._acts["deny"]
+        may_tell = self._open(state)[..., self._slot] | is_refused[..., None]
+        is_known = (state["held"] != NONE) & ~self._open(state)
+        is_idle = ~may_tell | is_known[..., self._slot]
+        return ~((self._is_told & is_idle) | self._is_empty)
 
     def _no_repeat(self, state: TensorDictBase) -> torch.Tensor:
         told, asked = state["agent_informs"] != NONE, state["agent_requests"]

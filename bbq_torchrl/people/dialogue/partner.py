@@ -20,7 +20,14 @@ from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.dialogue.tracking import Acting, Tracking, full
 from bbq_torchrl.people.language import Frame, TextError, Understood
 from bbq_torchrl.people.language.asking import Asking
-from bbq_torchrl.people.language.words import has_bye, has_yes, is_farewell, is_no, is_yes
+from bbq_torchrl.people.language.words import (
+    compact,
+    has_bye,
+    has_yes,
+    is_farewell,
+    is_no,
+    is_yes,
+)
 from bbq_torchrl.simulator import Simulator
 
 if TYPE_CHECKING:
@@ -275,6 +282,10 @@ class Partner:
         if named := self._spelling.named(text, listed) if asks else ():
             requests = tuple(slot for slot in frame.requests if slot in named) or named[:1]
             return Understood(Frame("request", {}, requests), 1.0, source=reading.source)
+        lexicon, name = self._spelling.lexicon, text.strip(" .!")
+        if slot := lexicon.only_slot(name) or lexicon.owners.get(compact(name)):
+            value = self._spelling.of({slot: lexicon.link(slot, name).values[0]})
+            return Understood(Frame("inform", value), 1.0, source=reading.source)
         return replace(reading, frame=Frame("not_sure"), unclear=() if asks else reading.unclear)
 
     def _dropped(
@@ -515,8 +526,11 @@ class Partner:
             return replace(reading, frame=frame)
         informed = question.informs if question is not None else {}
         informs, unclear = self._spelling.understood(text, values, informed)
-        frame = replace(reading.frame, informs=informs)
-        return replace(reading, frame=frame, unclear=(*reading.unclear, *unclear))
+        frame, unclear = replace(reading.frame, informs=informs), (*reading.unclear, *unclear)
+        if "answers_first" in rules and {*frame.requests} - {self.domain.ticket_slot}:
+            spoken_of = {action.slot for action in self.domain.actions}
+            unclear = tuple(one for one in unclear if one.slot in spoken_of)  # others can wait
+        return replace(reading, frame=frame, unclear=unclear)
 
     def _all_questions(self, text: str, reading: Understood) -> Understood:
         """Returns a reading with the questions of each clause, which are read by themselves."""
