@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import os
 import subprocess
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -31,7 +31,7 @@ from bbq_torchrl.utils.files import CHECKPOINTS, METRICS, RESULT
 from bbq_torchrl.utils.text import FaultsError, sentence, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from tensordict import NestedKey
     from torch import Tensor
@@ -118,6 +118,17 @@ def task_of(config: Config, env: EnvBase) -> Task:
         inactive_inputs=inputs,
         inactive_actions=actions,
     )
+
+
+@contextmanager
+def float32_by_default() -> Iterator[None]:
+    """Makes new tensors float32, as observations are, whatever the process's default dtype."""
+    before = torch.get_default_dtype()
+    torch.set_default_dtype(torch.float32)
+    try:
+        yield
+    finally:
+        torch.set_default_dtype(before)
 
 
 def set_up_process(threads: int) -> None:

@@ -12,7 +12,7 @@ from hydra.types import RunMode
 from bbq_torchrl.options.registry import conf_folder, load_folder
 from bbq_torchrl.options.root import register_options
 from bbq_torchrl.protocols import enter_round
-from bbq_torchrl.runs.build import make_domain
+from bbq_torchrl.runs.build import float32_by_default, make_domain
 from bbq_torchrl.runs.compose import compose_raw, session
 from bbq_torchrl.runs.folders import config_fingerprint, run_config
 from bbq_torchrl.runs.prepare import prepare_run
@@ -113,7 +113,8 @@ def trained_policy(
     """
     config.agent.check_mode(mode)
     check("weights", weights, one_of("last", "best"))
-    agent = make_agent(config, env)
+    with float32_by_default():
+        agent = make_agent(config, env)
     name, policy = config.agent.make_evaluation(agent.actor, mode)
     best = None
     if weights == "best":

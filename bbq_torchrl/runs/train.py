@@ -106,7 +106,11 @@ def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -
     """
     from bbq_torchrl.runs import build, folders
 
-    with folders.run_lock(folder), build.Tracker(config, folder) as tracker:
+    with (
+        folders.run_lock(folder),
+        build.Tracker(config, folder) as tracker,
+        build.float32_by_default(),
+    ):
         _LOG.info("run folder: %s", folder)
         code = build.checkout()  # at the start, since the code may change during the run
         build.set_up_process(config.threads)

@@ -20,7 +20,7 @@ from bbq_torchrl.evaluation.rollouts import evaluate as evaluate_policy
 from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.runs.build import divergence
 from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.runs.train import main as train_main
+from bbq_torchrl.runs.train import main as train_main, run
 from bbq_torchrl.runs.usage import usage
 from bbq_torchrl.settings import ConfigError
 
@@ -151,6 +151,19 @@ def test_jobs_find_a_domain_from_where_the_sweep_began(restaurant_folder, tmp_pa
     domain = "hydra.job.chdir=true domain=folder domain.path=restaurant agent=dqn"
     train(f"{sweep} {domain}", *TINY, "protocol.rounds=1", cwd=tmp_path)
     assert read_result(tmp_path / "sweep" / "job").domain == "restaurant"
+
+
+def test_the_default_dtype_of_the_process_changes_nothing(tmp_path):
+    results = []
+    for dtype in ("float32", "float64"):
+        torch.set_default_dtype(getattr(torch, dtype))
+        try:
+            results.append(run(compose(["agent=bbqn", *TINY]), tmp_path / dtype))
+            loaded = load_run(tmp_path / dtype)
+            loaded.env.rollout(3, loaded.policy)
+        finally:
+            torch.set_default_dtype(torch.float32)
+    assert results[0].per_replica == results[1].per_replica
 
 
 def test_a_mean_q_that_no_return_can_have_is_warned_of_and_in_the_result(tmp_path):
