@@ -72,11 +72,12 @@ def assemble(
         spans.sort(key=lambda span: span.start)
     informs, unclear = values_of(words, spans, lexicon)
     sure = math.log(max(reading.tags_chance, 1e-9)) + math.log(max(1 - reading.foreign, 1e-9))
-    is_answer = act == "inform" and is_short and lexicon.kinds.get(asked or "") == "text"
-    if asked and is_answer and not (informs or unclear) and reading.foreign < 0.5:
-        name = [at for at, word in enumerate(words) if word not in POLITE]
-        if any(reading.is_unknown[at] for at in name):  # an answer of unknown words is a name
-            unclear = (Unclear(asked, " ".join(words[at] for at in name)),)
+    pairs = enumerate(zip(words, reading.is_unknown, strict=True))
+    new = [at for at, (word, is_new) in pairs if is_new and word not in POLITE]
+    can_name = act == "inform" and lexicon.kinds.get(asked or "") == "text"
+    if asked and can_name and new and not (informs or unclear) and reading.foreign < 0.5:
+        # An answer of unknown words is an unknown name.
+        unclear = (Unclear(asked, " ".join(words[new[0] : new[-1] + 1])),)
     frames = _allowed(words, reading, question, lexicon, informs, unclear)
     frame, chance = max(frames, key=lambda item: item[1])
     likelier = torch.cat([reading.requests, reading.dont_care])
