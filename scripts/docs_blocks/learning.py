@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from math import isfinite
 from statistics import fmean, median
 from typing import TYPE_CHECKING
 
-from bbq_torchrl.evaluation.curves import Reach
+from bbq_torchrl.evaluation.curves import Reach, rounds_to_reach
 from bbq_torchrl.evaluation.groups import EARLY
 from bbq_torchrl.utils.statistics import estimate
 from bbq_torchrl.utils.text import EMPTY
@@ -191,6 +192,22 @@ def unspiked() -> dict[tuple[str, str], list[dict[str, str]]]:
     for row in read_csv("unspiked.csv"):
         seeds[row["domain"], row["agent"]].append(row)
     return seeds
+
+
+@block("results.unspiked_by_success")
+def _unspiked_by_success() -> str:
+    """Returns BBQN with a temperature that falls with success, next to others; all unspiked."""
+    own = group("by_success/unspiked")
+    found = int((own.success > 0).any(0).sum())
+    reached = sum(isfinite(rounds) for rounds in rounds_to_reach(own.success, 0.3))
+    waiting = "`agent=bbqn`, falling with success"
+    rows = [(waiting, len(own.final), found, reached, estimate(own.final))]
+    for agent, name in (("bbqn_map_soft", "`agent=bbqn`"), ("dqn_boltzmann", "DQN-Boltzmann")):
+        seeds = unspiked()["movie", agent]
+        counts = (sum(bool(row[key]) for row in seeds) for key in ("first_success", "to_0.3"))
+        finals = estimate([float(row["final"]) for row in seeds])
+        rows.append((name, len(seeds), *counts, finals))
+    return table(("movies", "seeds", "find a success", "reach .3", "end"), rows, numbers=4)
 
 
 @block("results.unspiked")
