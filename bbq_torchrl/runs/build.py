@@ -121,6 +121,25 @@ def task_of(config: Config, env: EnvBase) -> Task:
 
 
 @contextmanager
+def named_memory() -> Iterator[None]:
+    """Names the keys that decide on memory when it runs out.
+
+    Raises:
+        TrainingError: if memory ran out.
+    """
+    try:
+        yield
+    except (MemoryError, RuntimeError) as error:
+        is_cpu = "can't allocate memory" in str(error)  # torch has no class for it
+        if not is_cpu and not isinstance(error, (MemoryError, torch.OutOfMemoryError)):
+            raise
+        raise TrainingError(
+            "memory ran out: lower replicas, protocol.capacity, protocol.dialogues or "
+            "protocol.eval_batch"
+        ) from error
+
+
+@contextmanager
 def float32_by_default() -> Iterator[None]:
     """Makes new tensors float32, as observations are, whatever the process's default dtype."""
     before = torch.get_default_dtype()

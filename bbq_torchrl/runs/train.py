@@ -110,6 +110,7 @@ def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -
         folders.run_lock(folder),
         build.Tracker(config, folder) as tracker,
         build.float32_by_default(),
+        build.named_memory(),
     ):
         _LOG.info("run folder: %s", folder)
         code = build.checkout()  # at the start, since the code may change during the run

@@ -292,7 +292,11 @@ class RoundTrainer:
     def _save(self, *, name: str | None = None) -> Path:
         if self.rounds_done or name is not None:  # the first checkpoint creates the folder
             RunFolderGoneError.check(self.run_folder)
-        saved = self.checkpoints.save(self.rounds_done, self.config_fingerprint, name=name)
+        try:
+            saved = self.checkpoints.save(self.rounds_done, self.config_fingerprint, name=name)
+        except OSError:
+            RunFolderGoneError.check(self.run_folder)  # moved meanwhile
+            raise
         if name is None:
             self.rounds_saved = self.rounds_done
         return saved

@@ -7,6 +7,7 @@ import subprocess
 import sys
 
 import pytest
+import torch
 from forked import environment
 from tiny import rows
 
@@ -14,7 +15,7 @@ from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.folders import is_finished, load_config
 from bbq_torchrl.runs.train import run
 from bbq_torchrl.settings import ConfigError
-from bbq_torchrl.trainers import RunFolderGoneError
+from bbq_torchrl.trainers import RunFolderGoneError, TrainingError
 from bbq_torchrl.utils import interruption
 
 from .trusted import DQN, resumed
@@ -73,6 +74,27 @@ def test_a_run_whose_folder_is_moved_ends_at_once_and_goes_on_in_its_new_place(t
     assert not old.exists()
     resumed(new)
     assert rows(new / "metrics.csv") == rows(tmp_path / "uninterrupted" / "metrics.csv")
+
+
+def test_a_folder_that_is_moved_while_a_checkpoint_is_saved_is_named(tmp_path):
+    config = compose([*DQN, "protocol.rounds=2"])
+
+    def fail(*args, **kwargs):
+        (tmp_path / "old").rename(tmp_path / "new")
+        raise FileNotFoundError(tmp_path / "old")
+
+    with pytest.raises(RunFolderGoneError):
+        run(
+            config,
+            tmp_path / "old",
+            [lambda trainer, _: setattr(trainer.checkpoints, "save", fail)],
+        )
+
+
+@pytest.mark.parametrize("make", [lambda: torch.empty(2**55), lambda: bytes(2**60)])
+def test_memory_that_runs_out_names_the_keys_to_lower(tmp_path, make):
+    with pytest.raises(TrainingError, match=r"protocol\.capacity"):
+        run(compose([*DQN, "protocol.rounds=1"]), tmp_path / "run", [lambda *_: make()])
 
 
 def test_metrics_that_are_removed_while_a_run_trains_are_written_again(tmp_path):
