@@ -45,6 +45,7 @@ OTHER_NAMES = {"double": "double_dqn", "mask_prob": "prob", "evaluate_draws": "n
 
 ON_PURPOSE = {
     ("BayesMLP", "std_init"): "searched for dialogues; in short loops .09 is noise for too long",
+    ("BayesMLP", "prior_std"): "searched for dialogues; by fan-in for other networks",
     ("BootstrapMLP", "prior_scale"): "searched for dialogues; 0 is the paper's network",
     ("BootstrapMask", "prob"): "searched for dialogues; .5 is the paper's bootstrap",
     ("ReplicaAdam", "lr"): "the key follows protocol.lr",
