@@ -61,14 +61,3 @@ def test_an_offer_stands_after_anything_but_a_whole_yes(partner, offer):
     assert ended.count("agent") / len(ended) >= 0.9
     for text in TEXTS["ends"]:
         assert said(partner, offer, text).ended == "agent", text
-
-
-def test_two_questions_are_answered_without_being_asked_again(partner):
-    before = opened(partner, WONKA)
-    answered = []
-    for text, slots in TEXTS["questions"].items():
-        answer = said(partner, before, text)
-        if answer.memory.asking.is_check:
-            answer = said(partner, answer, "yes")
-        answered.append({*slots.split()} <= answer.answered.informs.keys())
-    assert sum(answered) / len(answered) >= 0.8
