@@ -42,7 +42,8 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config
-    from bbq_torchrl.runs.build import Checkout, Tracker
+    from bbq_torchrl.runs.build import Checkout
+    from bbq_torchrl.runs.run_logger import RunLogger
     from bbq_torchrl.trainers import EpisodeStats, RoundTrainer
 
 _LOG = logging.getLogger(__name__)
@@ -203,11 +204,11 @@ def _versions() -> dict[str, str]:
     }
 
 
-def log_result(config: Config, result: RunResult, tracker: Tracker) -> None:
+def log_result(config: Config, result: RunResult, logger: RunLogger) -> None:
     """Logs the final success next to that of the best script and of privileged policies."""
     _LOG.info("%s", _result_line(config, result))
     numbers = {f"result/{name}": value for name, value in flat_numbers(result).items()}
-    tracker.log_result(numbers, result.rounds)
+    logger.log_result(numbers, result.rounds)
 
 
 def _result_line(config: Config, result: RunResult) -> str:

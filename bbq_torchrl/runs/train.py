@@ -46,7 +46,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.evaluation.run_result import RunResult
     from bbq_torchrl.options import Config
-    from bbq_torchrl.runs.build import Tracker
+    from bbq_torchrl.runs.run_logger import RunLogger
     from bbq_torchrl.trainers import ReplicaOptimizer, RoundTrainer
     from bbq_torchrl.trainers.round_trainer import RoundCallback
 
@@ -105,10 +105,11 @@ def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -
         Interrupted: a signal came; all rounds are saved.
     """
     from bbq_torchrl.runs import build, folders
+    from bbq_torchrl.runs.run_logger import RunLogger
 
     with (
         folders.run_lock(folder),
-        build.Tracker(config, folder) as tracker,
+        RunLogger(config, folder) as logger,
         build.float32_by_default(),
         build.named_memory(),
     ):
@@ -120,7 +121,7 @@ def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -
         spike_policy = build.find_spike_policy(config, domain)
 
         trainer, agent = build_trainer(
-            config, folder, callbacks, domain=domain, spike_policy=spike_policy, tracker=tracker
+            config, folder, callbacks, domain=domain, spike_policy=spike_policy, logger=logger
         )
         # A run killed before its last file, the curve, has a result already.
         result = config.resume and folders.finished_result(folder, config.protocol.rounds)
@@ -139,7 +140,7 @@ def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -
         if config.protocol.keep_checkpoints == "weights":
             trainer.checkpoints.keep_only("loss", "best")
         final.draw_curve(config, folder, result, trainer, domain, spike_policy)  # the last file
-        final.log_result(config, result, tracker)
+        final.log_result(config, result, logger)
     return result
 
 
@@ -162,11 +163,11 @@ def build_trainer(
     *,
     domain: Domain | None = None,
     spike_policy: str | None = None,
-    tracker: Tracker | None = None,
+    logger: RunLogger | None = None,
 ) -> tuple[RoundTrainer, Agent]:
     """Makes the trainer of a run and its agent; callbacks are called after every round.
 
-    Domain and spike policy are loaded unless given. Without a tracker metrics go to the run folder
+    Domain and spike policy are loaded unless given. Without a logger metrics go to the run folder
     only.
     """
     from torchrl.objectives import HardUpdate
@@ -216,7 +217,7 @@ def build_trainer(
         spike=spike.make(config.env.make_policy(spike_policy, env)) if spike_policy else None,
         evaluator=build.round_evaluator(config, domain, agent.actor),
         round_metrics={**agent.metrics, **build.values_as_metrics(config)},
-        loggers=[tracker] if tracker else [],
+        loggers=[logger] if logger else [],
         callbacks=(*callbacks, build.divergence_warning(config)),
         remedy=config.agent.remedy,
         config_fingerprint=config_fingerprint(config),

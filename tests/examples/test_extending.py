@@ -121,7 +121,7 @@ def test_its_runs_are_evaluated_and_reported(finished, capsys):
     capsys.readouterr()
     assert compare_runs.main(folders) == 0
     out = capsys.readouterr().out
-    assert "LANGEVIN, agent.inverse_temperature=100000000.0" in out
+    assert "LANGEVIN, explore=greedy, agent.inverse_temperature=100000000.0" in out
     assert "BBQN-MAP" in out
 
 

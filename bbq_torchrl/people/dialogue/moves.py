@@ -35,7 +35,7 @@ _RESTART, _OTHERS = _pattern(_DATA["restart"]), _pattern(_DATA["others"])
 _LATER, _EARLIER = _pattern(_DATA["later"]), _pattern(_DATA["earlier"])
 _ABOUT = {name: _pattern(_DATA[name]) for name in ("help", "bot", "nothing")}
 _CLAUSE = re.compile(r" ?[,.;!?:()] ?| (?:but|and then) ")
-_AND = re.compile(rf"{_CLAUSE.pattern}(?:and |also |plus )*| (?:and|also|plus|&) ")
+_AND = re.compile(rf"(?:{_CLAUSE.pattern})(?:and |also |plus )*| (?:and|also|plus|&) ")
 _WHERE = re.compile(r" (?:in|at|on|near) ")
 _LONGEST = 6  # words of a value
 

@@ -13,7 +13,7 @@ from tensordict import TensorDict
 
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT
-from bbq_torchrl.domains.values import FIRST_VALUE, RESERVED_TEXT
+from bbq_torchrl.domains.values import FIRST_VALUE, RESERVED_TEXT, fold
 from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.control import Control
 from bbq_torchrl.people.dialogue.spelling import Spelling
@@ -475,7 +475,9 @@ class Partner:
         distance = self.control.records.best(full(state))[2]
         others = product(informs.items(), lexicon.slots if distance else ())
         for (slot, value), other in others:
-            if other not in informs and lexicon.link(other, value).is_exact:
+            # Exactly the same name: "7 pm" is not seven people.
+            link = lexicon.link(other, value)
+            if other not in informs and link.is_exact and fold(link.values[0]) == fold(value):
                 rest = {name: told for name, told in understood.informs.items() if name != slot}
                 moved = replace(understood, informs={**rest, **self._spelling.of({other: value})})
                 found = self._acting.hear(before, moved)
