@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import os
+
 import pytest
 from acts import Acts
+from filelock import FileLock
 from tiny import TINY, without_drawing
 
 from bbq_torchrl.people.chat import Partner, TrainedAgent
@@ -24,13 +27,33 @@ def trained(folder, *more):
 
 
 @pytest.fixture(scope="session")
-def runs(tmp_path_factory):
+def once(tmp_path_factory):
+    """Makes a file or folder in the first of pytest-xdist's workers that asks for it."""
+    folder = tmp_path_factory.getbasetemp()
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        folder = folder.parent  # which the workers share
+
+    def path(name, make):
+        with FileLock(folder / f"{name}.lock"):
+            if not (folder / name).exists():
+                make(folder / f"new_{name}")
+                (folder / f"new_{name}").rename(folder / name)
+        return folder / name
+
+    return path
+
+
+@pytest.fixture(scope="session")
+def runs(once):
     """One folder of runs: BBQN (two replicas), DQN and, before the extension, bootstrapped DQN."""
-    folder = tmp_path_factory.mktemp("runs")
-    trained(folder / "bbqn", "replicas=2")
-    trained(folder / "dqn", "agent=dqn")
-    trained(folder / "bootstrap", "agent=bootstrap", "env=domain_ext")
-    return folder
+
+    def make(folder):
+        folder.mkdir()
+        trained(folder / "bbqn", "replicas=2")
+        trained(folder / "dqn", "agent=dqn")
+        trained(folder / "bootstrap", "agent=bootstrap", "env=domain_ext")
+
+    return once("runs", make)
 
 
 @pytest.fixture(scope="session")
@@ -40,9 +63,12 @@ def agents(runs):
 
 
 @pytest.fixture(scope="session")
-def understand(movie):
+def understand(movie, once):
     """An understander that has seen few sentences: it knows the plain ones."""
-    return Understander.train(movie, sentences=1_200)
+    file = once(
+        "understander.npz", lambda new: Understander.train(movie, sentences=1_200).save(new)
+    )
+    return Understander.load(file, movie)
 
 
 @pytest.fixture(scope="session")

@@ -43,7 +43,7 @@ def server():
     own = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
     own.asked, own.delay, own.status, own.content = [], 0.0, 200, ""
     own.piece, own.pace = 1 << 20, 0.0
-    thread = threading.Thread(target=own.serve_forever, daemon=True)
+    thread = threading.Thread(target=own.serve_forever, args=(0.01,), daemon=True)
     thread.start()
     own.endpoint = Endpoint(f"http://127.0.0.1:{own.server_port}/v1", "tiny", "secret", timeout=2.0)
     yield own
