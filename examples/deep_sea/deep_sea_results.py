@@ -125,4 +125,4 @@ def _cell(lines: Sequence[Line]) -> str:
     middle = typical(lines)
     limit = max(line.episodes for line in lines)
     value = f"> {limit}" if middle is None else f"{middle:g}"
-    return f"{value} ({solved} of {len(lines)})"
+    return f"{value} ({solved})"

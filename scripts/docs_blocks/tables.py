@@ -65,12 +65,10 @@ def _quality() -> str:
 
 @block("language.limits")
 def _limits() -> str:
-    """Returns how the nlu owns up to what it does not understand, before it could and now."""
-    cells = {}
+    """Returns how the nlu owns up to what it does not understand."""
+    cells, found = {}, read_json("limits.json")
     for row in read_csv("limits_aims.csv"):
-        for column, file in (("before", "limits_before.json"), ("now", "limits.json")):
-            value = read_json(file).get(row["set"], {}).get(row["key"])
-            cells[row["what"], column] = "–" if value is None else f"{value:.3g}"
+        cells[row["what"], "measured"] = f"{found[row['set']][row['key']]:.3g}"
         cells[row["what"], "aim"] = row["aim"] or "–"
     return pivot("", cells)
 
