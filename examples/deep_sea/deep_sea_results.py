@@ -103,8 +103,8 @@ def table(lines: Sequence[Line], agents: Sequence[str]) -> str:
         >>> print(table([*lines, Line("b", 6, 0, None, 500, 0)], ["a", "b"]))
         | agent | N = 4 | N = 6 |
         | --- | ---: | ---: |
-        | `a` | 30 (2 of 3) |  |
-        | `b` |  | > 500 (0 of 1) |
+        | `a` | 30 (2) |  |
+        | `b` |  | > 500 (0) |
     """
     sizes = sorted({line.size for line in lines})
     rows = [
