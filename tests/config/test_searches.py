@@ -1,8 +1,9 @@
 """The configurations of searches, and refusals before a trial runs."""
 
 import pytest
+import yaml
 
-from bbq_torchrl.options.registry import options
+from bbq_torchrl.options.registry import conf_folder, options
 from bbq_torchrl.search.definition import compose_search
 
 LEARNER = {f"protocol.{key}" for key in ("lr", "epochs", "batch_size")}
@@ -28,7 +29,7 @@ def test_our_search_can_be_run_at_every_bound_and_varies_what_its_agent_has(name
 
 def test_the_command_line_changes_settings_space_and_what_is_fixed():
     given = ["search=bbqn", "search.trials=7", "search.objective=final", "agent.lr=2e-3"]
-    searched = compose_search(["search=bbqn"]).space
+    searched = yaml.safe_load((conf_folder() / "search" / "bbqn.yaml").read_text())["space"]
     given += [f"search.space.{key}=null" for key in searched if key != "agent.prior_std"]
     given.append("search.space.agent.target={type: categorical, choices: [map, mc]}")
     search = compose_search([*given, "search.space.agent.prior_std.high=.5", "replicas=3"])

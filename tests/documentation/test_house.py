@@ -54,6 +54,7 @@ def test_no_two_files_import_one_another():
 # parts are imported anew, and watched: which libraries do the project's own modules ask for?
 PROGRAM = """
 import builtins, sys
+sys.modules.update(dict.fromkeys(("pycrfsuite", "rapidfuzz", "httpx")))  # as if not installed
 import bbq_torchrl.options
 bbq_torchrl.options.schemas()
 assert "torch" not in sys.modules, "options load torch"
@@ -70,6 +71,8 @@ builtins.__import__ = watch
 for name in ("bayes", "networks", "exploration", "objectives", "data", "vime"):
     real(f"bbq_torchrl.{name}")
 assert "bbq_torchrl.domains" not in sys.modules, "the parts load domains"
+builtins.__import__ = real
+import bbq_torchrl.people.language  # without its extra
 print(*sorted(asked - sys.stdlib_module_names - {"bbq_torchrl"}))
 """
 

@@ -1,5 +1,6 @@
 """Signals, killed runs and extensions: what was saved goes on."""
 
+import copy as copying
 import json
 import os
 import signal
@@ -9,7 +10,7 @@ import sys
 import pytest
 import torch
 from forked import environment
-from tiny import rows
+from tiny import rows, without_drawing
 
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.folders import is_finished, load_config
@@ -27,11 +28,18 @@ class Killed(BaseException):
     """Ends a process: nothing more is written."""
 
 
-def test_an_interrupted_extension_goes_on(copy, kept, tmp_path):
-    folder = copy(kept)
+@pytest.fixture(scope="module")
+def uninterrupted(tmp_path_factory):
+    """The configuration of a run of six rounds, and its metrics."""
+    folder = tmp_path_factory.mktemp("uninterrupted") / "run"
     longer = compose([*DQN, "protocol.keep_checkpoints=last", "protocol.rounds=6"])
-    run(longer, tmp_path / "uninterrupted")
+    with without_drawing():
+        run(longer, folder)
+    return longer, rows(folder / "metrics.csv")
 
+
+def test_an_interrupted_extension_goes_on(copy, kept, uninterrupted):
+    folder = copy(kept)
     config = load_config(folder / "config.yaml")
     config.protocol.rounds, config.resume = 6, str(folder)
 
@@ -47,14 +55,15 @@ def test_an_interrupted_extension_goes_on(copy, kept, tmp_path):
     result = resumed(folder)
 
     assert result.rounds == 6
-    assert rows(folder / "metrics.csv") == rows(tmp_path / "uninterrupted" / "metrics.csv")
+    assert rows(folder / "metrics.csv") == uninterrupted[1]
 
 
 @pytest.mark.parametrize("done", [1, pytest.param(2, marks=pytest.mark.slow), 6])
-def test_a_run_whose_folder_is_moved_ends_at_once_and_goes_on_in_its_new_place(tmp_path, done):
-    longer = compose([*DQN, "protocol.keep_checkpoints=last", "protocol.rounds=6"])
+def test_a_run_whose_folder_is_moved_ends_at_once_and_goes_on_in_its_new_place(
+    uninterrupted, tmp_path, done
+):
+    longer = copying.deepcopy(uninterrupted[0])
     longer.protocol.checkpoint_every = 2
-    run(longer, tmp_path / "uninterrupted")
     old, new = tmp_path / "old", tmp_path / "new"
     played = []
 
@@ -73,7 +82,7 @@ def test_a_run_whose_folder_is_moved_ends_at_once_and_goes_on_in_its_new_place(t
     assert played[-1] == done
     assert not old.exists()
     resumed(new)
-    assert rows(new / "metrics.csv") == rows(tmp_path / "uninterrupted" / "metrics.csv")
+    assert rows(new / "metrics.csv") == uninterrupted[1]
 
 
 def test_a_folder_that_is_moved_while_a_checkpoint_is_saved_is_named(tmp_path):

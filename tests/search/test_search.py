@@ -172,7 +172,10 @@ def test_of_choices_alone_none_is_tried_twice(tmp_path, trials):
     assert len(tried) == len(set(tried)) == min(trials, 3 * 2)
 
 
-@pytest.mark.parametrize(("of", "trial"), [("dqn", 0), ("dqn", 2), ("choices", 3)])
+@pytest.mark.parametrize(
+    ("of", "trial"),
+    [("dqn", 2), ("choices", 3), pytest.param("dqn", 0, marks=pytest.mark.slow)],
+)
 def test_a_search_that_was_killed_ends_as_one_that_was_not(tmp_path, of, trial, impatient):
     given = ("search.pruner=none", "search.sampler=random")  # which do not hang on the order
     search(tmp_path / "whole", *given, of=of)

@@ -117,7 +117,7 @@ def test_answers_and_wishes_are_those_of_one_record(agents, mouth, spelling, mon
 
     monkeypatch.setattr(partner.agent, "decide", decide)
     right = 0
-    for goal in chance.sample(goals, 40):
+    for goal in chance.sample(goals, 20):
         texts = [f"inform({slot}={value})" for slot, value in goal.constraints.items()]
         texts += [f"request({slot})" for slot in goal.requests]
         chance.shuffle(texts)
@@ -132,7 +132,7 @@ def test_answers_and_wishes_are_those_of_one_record(agents, mouth, spelling, mon
             if slot not in spelling.domain.free_slots:
                 wanted[slot] = value
         right += any(wanted.items() <= record.items() for record in spelling.domain.records)
-    assert right >= 38  # at random an agent seldom tells what cannot be taken back in time
+    assert right >= 19  # at random an agent seldom tells what cannot be taken back in time
 
 
 def test_no_act_is_repeated_unless_something_changed(talk):

@@ -2,7 +2,6 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import forked
 import pytest
 
 from bbq_torchrl.people.language.quantities import READERS
@@ -56,14 +55,6 @@ def test_every_value_means_itself(lexicon):
 def test_a_missing_library_names_the_command():
     with pytest.raises(ModuleNotFoundError, match=r"pip install .*\[language\]'"):
         needed("no-such", "no_such_library_at_all")
-
-
-def test_the_package_and_its_language_import_without_the_extra(tmp_path):
-    code = (
-        "import sys; sys.modules.update(dict.fromkeys(('pycrfsuite', 'rapidfuzz', 'httpx')))\n"
-        "import bbq_torchrl, bbq_torchrl.people.language"
-    )
-    forked.python("-c", code, cwd=tmp_path)
 
 
 @pytest.mark.parametrize(
