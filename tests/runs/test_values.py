@@ -95,7 +95,9 @@ def test_a_replica_trains_bitwise_as_where_all_have_its_value(case, composed, tm
         ]
 
 
-@pytest.mark.parametrize("agent", ["dqn", "bbqn", "bootstrap"])
+@pytest.mark.parametrize(
+    "agent", ["bbqn", "bootstrap", pytest.param("dqn", marks=pytest.mark.slow)]
+)
 def test_a_replica_that_diverges_leaves_the_others_alone(agent, composed, tmp_path):
     configs = [
         composed(f"agent={agent} replicas=2 protocol.rounds=3", {"agent.lr": [1e-3, other]})
