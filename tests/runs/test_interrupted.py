@@ -106,17 +106,15 @@ def test_memory_that_runs_out_names_the_keys_to_lower(tmp_path, make):
         run(compose([*DQN, "protocol.rounds=1"]), tmp_path / "run", [lambda *_: make()])
 
 
-def test_metrics_that_are_removed_while_a_run_trains_are_written_again(tmp_path):
-    config = compose([*DQN, "protocol.rounds=3"])
-    run(config, tmp_path / "left alone")
+def test_metrics_that_are_removed_while_a_run_trains_are_written_again(finished, tmp_path):
 
     def remove(trainer, rows):
         if trainer.rounds_done == 2:
             trainer.metrics.path.unlink()
 
-    run(config, tmp_path / "run", [remove])
+    run(compose(DQN), tmp_path / "run", [remove])
 
-    assert rows(tmp_path / "run" / "metrics.csv") == rows(tmp_path / "left alone" / "metrics.csv")
+    assert rows(tmp_path / "run" / "metrics.csv") == rows(finished / "metrics.csv")
 
 
 def test_a_run_killed_before_its_curve_is_drawn_is_finished_by_resume(copy, finished):
