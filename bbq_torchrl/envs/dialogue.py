@@ -25,6 +25,8 @@ from bbq_torchrl.simulator import (
 from bbq_torchrl.simulator.profiles import Users
 from bbq_torchrl.utils.seeds import checked_seed, seed_of_process, unshared_seed
 
+_LOADED = 0  # in place of a process: the state is that of an environment that nobody seeded
+
 
 class DialogueEnv(EnvBase):
     """A batch of dialogues between an agent and agenda-based users.
@@ -235,7 +237,7 @@ class DialogueEnv(EnvBase):
         return following
 
     def _set_seed(self, seed: SupportsIndex | None) -> None:
-        # The process that a drawn seed is for; None if the caller gave the seed.
+        # The process that a drawn seed is for, or _LOADED; None if the caller gave the seed.
         self._unseeded_in = os.getpid() if seed is None else None
         if seed is None:
             seed = unshared_seed(int(torch.randint(1 << 62, ())))
@@ -254,14 +256,16 @@ class DialogueEnv(EnvBase):
         goals = len(self.domain.goals)
         if goal_id is not None and (isinstance(goal_id, bool) or goal_id not in range(goals)):
             raise ValueError(f"goal_id must be an integer from 0 to {goals - 1}, got {goal_id!r}")
-        if self._unseeded_in not in (None, os.getpid()):  # a copy, by fork or by pickle
-            self._generator.manual_seed(seed_of_process(self._draw_seed()))
+        which = None if tensordict is None else tensordict.get("_reset", None)
+        is_copy = self._unseeded_in not in (None, os.getpid())  # by fork, pickle or a loaded state
+        if is_copy and (self._unseeded_in != _LOADED or which is None):
+            drawn = self._draw_seed() ^ int(torch.randint(1 << 62, ()))
+            self._generator.manual_seed(seed_of_process(drawn))
             self._unseeded_in = os.getpid()
         draws = self.simulator.draw_reset(self.batch_size, self._generator)
         if goal_id is not None:  # replaces the drawn number by one that selects this goal
             draws["goal"].fill_((goal_id + 0.5) / goals)
         started = self.simulator.reset(draws, self._active)
-        which = None if tensordict is None else tensordict.get("_reset", None)
         if which is not None and self._dialogues is not None:
             started = started.where(which.view(self.batch_size), self._dialogues)
         self._dialogues = started
@@ -337,11 +341,15 @@ class DialogueEnv(EnvBase):
             "domain": self.domain.name,
             "dialogues": None if dialogues is None else dialogues.clone().to_dict(),
             "generator": self._generator.get_state(),
+            "seeded": self._unseeded_in is None,
             "round": self._round,
         }
 
     def set_extra_state(self, state: dict[str, Any]) -> None:
-        """Loads the result of :meth:`get_extra_state`.
+        """Loads the result of :meth:`get_extra_state`, whose dialogues then continue.
+
+        If nobody seeded the environment that saved it, a complete reset draws a new seed: TorchRL
+        loads a template's state into every worker, and workers play different dialogues.
 
         Raises:
             ValueError: if the saved dialogues have another domain or batch size.
@@ -359,7 +367,7 @@ class DialogueEnv(EnvBase):
             saved = TensorDict(saved, batch_size=batch).to(self.device).clone()
         self._dialogues = saved
         self._generator.set_state(state["generator"].cpu())
-        self._unseeded_in = None
+        self._unseeded_in = None if state["seeded"] else _LOADED
         self.set_round(state["round"])
 
     def load_state_dict(self, state_dict: Mapping[str, Any], *args: Any, **kwargs: Any) -> Any:

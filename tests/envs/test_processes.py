@@ -7,9 +7,11 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
+from torchrl.collectors import MultiAsyncCollector, MultiSyncCollector
+from torchrl.envs import EnvCreator, ParallelEnv, SerialEnv, TransformedEnv
 
 from bbq_torchrl.data import BootstrapMask
-from bbq_torchrl.envs import DialogueEnv
+from bbq_torchrl.envs import DialogueEnv, EnvState, UniformPolicy
 
 FORK = pytest.mark.skipif(
     "fork" not in multiprocessing.get_all_start_methods(), reason="processes cannot be forked here"
@@ -44,14 +46,50 @@ def test_environments_without_a_seed_play_different_dialogues(restaurant):
         assert one != other
 
 
-@pytest.mark.parametrize(
-    "seeded", [lambda env: env.set_seed(5), lambda env: env.load_state_dict(env.state_dict())]
-)
-def test_copies_of_what_was_seeded_or_loaded_play_the_same(restaurant, seeded):
+@pytest.mark.parametrize("is_loaded", [False, True])
+def test_copies_of_what_was_seeded_play_the_same(restaurant, is_loaded):
     env = DialogueEnv(restaurant, batch_size=(8,))
-    seeded(env)
+    env.set_seed(5)
+    if is_loaded:
+        env.load_state_dict(env.state_dict())
     found = in_forked(2, lambda: goals(env))
     assert found == [goals(env)] * 2
+
+
+def made(restaurant, with_state):
+    env = DialogueEnv(restaurant, batch_size=(8,))
+    return TransformedEnv(env, EnvState()) if with_state else env
+
+
+@pytest.mark.parametrize("with_state", [False, True])
+@pytest.mark.parametrize(
+    ("kind", "start"),
+    [
+        (SerialEnv, None),
+        (ParallelEnv, "fork"),
+        pytest.param(ParallelEnv, "spawn", marks=pytest.mark.slow),
+    ],
+)
+def test_workers_whose_environments_load_the_state_of_a_template_differ(
+    restaurant, kind, start, with_state
+):
+    """TorchRL loads it for a lambda and an EnvCreator."""
+    create = EnvCreator(lambda: made(restaurant, with_state))
+    env = kind(2, create, **({} if start is None else {"mp_start_method": start}))
+    one, other = env.reset()["goal_id"]
+    env.close()
+    assert not torch.equal(one, other)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [MultiSyncCollector, MultiAsyncCollector])
+def test_collectors_workers_without_a_seed_play_different_dialogues(restaurant, kind):
+    create = [lambda: made(restaurant, True)] * 2
+    collector = kind(create, UniformPolicy(), frames_per_batch=32, total_frames=64)
+    batches = [batch["goal_id"].flatten() for batch in collector]
+    collector.shutdown()
+    one, other = batches[0].chunk(2) if kind is MultiSyncCollector else batches
+    assert not torch.equal(one, other)
 
 
 def test_a_process_that_seeds_torch_itself_plays_by_that_seed(restaurant):
