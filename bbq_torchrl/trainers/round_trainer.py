@@ -265,7 +265,12 @@ class RoundTrainer:
 
     def _learn(self, round_number: int) -> dict[str, list[float]]:
         """Learns and returns the means of the loss's metrics, for each replica."""
-        means = self.learner.learn(round_number, self.seed)
+        try:
+            means = self.learner.learn(round_number, self.seed)
+        except torch.linalg.LinAlgError as error:  # a closed-form fit
+            raise NonFiniteLossError(
+                f"the fit of round {round_number} has no solution: {self.remedy}"
+            ) from error
         broken = [r for r, loss in enumerate(means["loss"]) if not math.isfinite(loss)]
         if broken:
             saved = self._save(name=f"failed-round-{round_number:06d}")

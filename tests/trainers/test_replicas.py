@@ -12,6 +12,7 @@ from trainer_parts import make_trainer
 from bbq_torchrl.data import Batch
 from bbq_torchrl.trainers import (
     BestWeights,
+    NonFiniteLossError,
     ReplicaAdam,
     RoundTrainer,
 )
@@ -151,6 +152,15 @@ def test_where_one_breaks_the_others_learn_on_and_the_state_is_saved(tmp_path):
     other.checkpoints.load(tmp_path / "broken" / "checkpoint" / "failed-round-000001.torchrl")
     assert weights(other)[0].isnan().any()
     assert torch.equal(weights(other)[1:], weights(broken)[1:])
+
+
+def test_a_fit_without_a_solution_names_what_to_change(tmp_path, monkeypatch):
+    trainer = make_trainer(tmp_path, rounds=1)
+    trainer.remedy = "raise agent.noise_std"
+    broken = partial(torch.linalg.cholesky, -torch.eye(2))
+    monkeypatch.setattr(trainer.learner, "learn", lambda *_: broken())
+    with pytest.raises(NonFiniteLossError, match=r"agent\.noise_std"):
+        trainer.train()
 
 
 def new_best() -> tuple[nn.Module, BestWeights]:
