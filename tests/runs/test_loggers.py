@@ -307,7 +307,8 @@ def test_processes_that_start_together_share_a_new_database(tmp_path, monkeypatc
     needs("mlflow")
     import mlflow  # once, not in every child
 
-    monkeypatch.setenv("MLFLOW_TRACKING_URI", f"sqlite:///{tmp_path}/shared.db")
+    address = f"sqlite:///{tmp_path}/shared.db"
+    monkeypatch.setenv("MLFLOW_TRACKING_URI", address)
 
     def begin():
         chosen = MLFlow()
@@ -318,7 +319,9 @@ def test_processes_that_start_together_share_a_new_database(tmp_path, monkeypatc
         children = [forked.start(begin, (), tmp_path, log, log) for _ in range(4)]
         codes = [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children]
     assert codes == [0] * 4, (tmp_path / "log").read_text()
-    assert len(mlflow.search_runs(search_all_experiments=True)) == 4
+    client = mlflow.MlflowClient(address)
+    experiments = [found.experiment_id for found in client.search_experiments()]
+    assert len(client.search_runs(experiments)) == 4
 
 
 def sweep(name, folder):
