@@ -317,11 +317,11 @@ def play(cell: Cell) -> str:
                 raise
             except Exception as error:
                 is_known = isinstance(error, FORESEEN)
-                reason = sentence(error) if is_known else f"{type(error).__name__}: {error}"
+                reason = sentence(error if is_known else f"{type(error).__name__}: {error}")
                 _LOG.error("%s failed: %s", cell.name, reason, exc_info=not is_known)
                 if cell.folder.is_dir():  # it may have been moved
-                    write_text(cell.folder / _FAILED, sentence(reason))
-                return sentence(reason)
+                    write_text(cell.folder / _FAILED, reason)
+                return reason
     except ConfigError as error:  # another process at work in the folder
         return sentence(error)
     return ""

@@ -16,16 +16,18 @@ from bbq_torchrl.networks.q_actor import legal_actions
 _WEIGHT = 0.2  # of the last round in the running mean of a replica's success rate
 
 
-def _left(success: Tensor, rate: Tensor, until: float) -> Tensor:
-    """Returns the share of a fall by success that is left, [replicas, 1].
+def _fallen(start: Tensor, end: Tensor, success: Tensor, rate: Tensor, until: float) -> Tensor:
+    """Returns the value of a schedule that falls with success, [replicas, 1].
 
     Args:
+        start: its value without a success.
+        end: its value from a mean success of ``until`` on.
         success: the running mean of success, [replicas, 1]; updated.
         rate: the last round's, [replicas].
-        until: the mean at which nothing is left.
+        until: the mean at which the fall ends.
     """
     success.lerp_(rate.to(success).unsqueeze(-1), _WEIGHT)
-    return (1 - success / until).clamp_min(0)
+    return end + (start - end) * (1 - success / until).clamp_min(0)
 
 
 class BatchedEGreedy(EGreedyModule):
@@ -106,8 +108,8 @@ class BatchedEGreedy(EGreedyModule):
     def see_success(self, success_rate: Tensor) -> None:
         """Sets epsilon by success, if so constructed; see :meth:`Boltzmann.see_success`."""
         if self.until_success is not None:
-            left = _left(self.success, success_rate, self.until_success)
-            self.eps.copy_(self.eps_end + (self.eps_init - self.eps_end) * left)
+            falls = self.eps_init, self.eps_end, self.success
+            self.eps.copy_(_fallen(*falls, success_rate, self.until_success))
 
 
 class Boltzmann(TensorDictModuleBase):
@@ -202,9 +204,8 @@ class Boltzmann(TensorDictModuleBase):
                 weight .2 in the mean, which starts at 0.
         """
         if self.until_success is not None:
-            left = _left(self.success, success_rate, self.until_success)
-            start, end = self.temperature_init, self.temperature_end
-            self.temperature.copy_(end + (start - end) * left)
+            falls = self.temperature_init, self.temperature_end, self.success
+            self.temperature.copy_(_fallen(*falls, success_rate, self.until_success))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the drawn action in the form of the greedy one."""

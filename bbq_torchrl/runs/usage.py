@@ -43,7 +43,7 @@ def usage(words: Sequence[str] = ()) -> str:
             groups and options are listed.
 
     Raises:
-        ConfigError: a word is none of these.
+        ConfigError: a word names no group, option or key.
     """
     lines = [line for word in words for line in _explained(word)]
     return "\n".join(lines or [_BEGIN, *_overview(), "", _END.rstrip()]) + "\n"

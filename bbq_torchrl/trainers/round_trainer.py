@@ -267,7 +267,7 @@ class RoundTrainer:
         """Learns and returns the means of the loss's metrics, for each replica."""
         try:
             means = self.learner.learn(round_number, self.seed)
-        except torch.linalg.LinAlgError as error:  # a closed-form fit
+        except torch.linalg.LinAlgError as error:  # type: ignore[attr-defined]  # by a closed-form fit
             raise NonFiniteLossError(
                 f"the fit of round {round_number} has no solution: {self.remedy}"
             ) from error

@@ -131,7 +131,7 @@ def test_records_and_goals_are_as_described(corpus, records, error, goals, goal_
     assert (min(sizes), max(sizes), sizes.most_common(1)[0][0]) == (1, 11, 6)
     assert sum(map(len, constraints)) / goals == pytest.approx(4.4, abs=0.1)
     assert sum(map(len, requests)) / goals == pytest.approx(1.9, abs=0.1)
-    spelled, close = (fold, 0.1) if corpus.name == "movie" else (str, 0.025)  # blanks are none
+    spelled, close = (fold, 0.1) if corpus.name == "movie" else (str, 0.025)  # spelled alike
     values = {s: {spelled(r[s]) for r in corpus.records if s in r} for s in DISTINCT}
     found = {slot: len(texts) for slot, texts in values.items()}
     assert found == pytest.approx(DISTINCT, rel=close)

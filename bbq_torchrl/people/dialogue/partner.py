@@ -392,7 +392,7 @@ class Partner:
         Args:
             now: the memory, with the state after the person's act.
             reading: the nlu's result.
-            change: the other values, slot to value id; empty if there are none.
+            change: the value id proposed for each slot that changes; may be empty.
             words: what determines the words.
             requests: the slots asked for; the proposal tells their values.
         """

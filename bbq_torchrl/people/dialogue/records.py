@@ -21,8 +21,8 @@ if TYPE_CHECKING:
 _EVIDENCE = 8  # values of a slot with several records, each with one value of the determined slot
 _SAMPLE = 100  # values that tell a slot's kind
 _COSTS = {"time": 1, "date": 2, "price": 2, "count": 2, "text": 3}
-"""How much a person minds another value of a slot: one moves in time sooner than to another place;
-the opening slot, which a dialogue is about, costs twice as much as any."""
+"""The cost of another value, by the kind of its slot: people accept another time before another
+place. The opening slot, which a dialogue is about, costs twice the highest more."""
 
 
 def completed(domain: Domain) -> tuple[Mapping[str, str], ...]:
@@ -98,7 +98,7 @@ class Records:
             bool ``[*B, S]`` twice, and long ``[*B]``: contradictions count before absent values.
         """
         differs, lacks = self.compare(held)
-        distance, place = (differs.sum(-1) * held.shape[-1] + lacks.sum(-1)).min(-1)
+        distance, place = _distances(differs, lacks).min(-1)
         index = place[..., None, None].expand(*place.shape, 1, held.shape[-1])
         differs, lacks = (part.gather(-2, index).squeeze(-2) for part in (differs, lacks))
         return differs, lacks, distance
@@ -125,7 +125,7 @@ class Records:
             direction: 1 for a later, -1 for an earlier value of ``slot``.
 
         Returns:
-            Empty if there is none.
+            Empty if no record differs in that way.
         """
         differs, lacks = self.compare(held)
         absent = lacks.sum(-1)
@@ -179,8 +179,7 @@ class Records:
         """
         changed, found = held.clone(), torch.zeros_like(held)
         changed[[*change]] = torch.tensor([*change.values()])
-        differs, lacks = self.compare(changed)
-        place = int((differs.sum(-1) * held.shape[-1] + lacks.sum(-1)).argmin())
+        place = int(_distances(*self.compare(changed)).argmin())
         found[list(asked)] = self._values[place, list(asked)]
         return found
 
@@ -212,6 +211,11 @@ class Records:
                 if misses[:, list(some)].any(-1).all():
                     return some
         return ()
+
+
+def _distances(differs: Tensor, lacks: Tensor) -> Tensor:
+    """Returns each record's distance, ``[*B, R]``: contradictions count before absent values."""
+    return differs.sum(-1) * differs.shape[-1] + lacks.sum(-1)
 
 
 def _dependencies(domain: DomainTensors) -> Tensor:

@@ -103,7 +103,7 @@ class Endpoint:
         raise ConnectionError(f"the endpoint {host} gave no answer: {reason}")
 
     def _post(self, request: Mapping[str, Any]) -> bytes | str:
-        """Returns the body of the reply, or the reason why there is none."""
+        """Returns the reply's body, or the reason for its absence."""
         import httpx
 
         headers = {"Accept-Encoding": "identity"}  # of which the bytes can be counted

@@ -1,4 +1,4 @@
-"""What people do with words alone: accepting an offer, and taking wishes back."""
+"""Moves made with words alone: accepting an offer, and taking wishes back."""
 
 from __future__ import annotations
 
