@@ -237,23 +237,25 @@ class ReplicaOptimizer(Stateful, Protocol):
 class Growing(Protocol):
     """A network that can start with inputs and outputs that come into use later.
 
-    ``BayesMLP``, ``BootstrapMLP``, ``FlatMLP`` and ``NoisyMLP`` implement it, and so can any other
-    network. :func:`bbq_torchrl.networks.growth.reset_inactive_` raises an error for networks
-    without these members.
+    The paper grows a network when a feature or an action appears. Here the network has its full
+    size from the start: inactive features are 0, inactive actions are masked, and their weights
+    start where growth would put them. The two are equivalent as long as nothing moves an inactive
+    weight. Its data gradient is 0, and so is the gradient of the closed KL at the prior. (A sampled
+    KL moves it.)
     """
 
-    @property
-    def in_features(self) -> int:
-        """Size of the input."""
-
-    @property
-    def out_features(self) -> int:
-        """Size of the output."""
-
     def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
-        """Initializes the weights of inactive inputs and outputs; called without gradients.
+        """Initializes the weights of inactive inputs and outputs.
+
+        Called once, without gradients, before a loss copies the network, because target updaters do
+        not update the copy of a prior function.
 
         Args:
-            inputs: bool [in_features], True for inactive inputs.
-            outputs: bool [out_features], True for inactive outputs.
+            inputs: bool [in_features], True for inactive inputs. Their weights become 0 (in a noisy
+                network μ and σ), or those of the prior in a Bayesian network. So a new feature
+                changes neither the mean nor the noise before it is learned. The weights of a prior
+                function become 0 too.
+            outputs: bool [out_features], True for inactive outputs. Their weights become the
+                prior's in a Bayesian network. Others keep their initial weights; a noisy network
+                explores a new action by its initial σ.
         """

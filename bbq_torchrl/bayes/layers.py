@@ -287,10 +287,3 @@ class BayesConv2d(BayesLayer):
         """Returns the outputs with a separate kernel for each row."""
         rows = x.shape[len(self.replicas) : -3]
         return self.run(x, self.draw_weights(rows))
-
-    def extra_repr(self) -> str:
-        """Returns the sizes for ``repr``."""
-        return (
-            f"{self.in_channels}, {self.out_channels}, kernel_size={self.kernel_size}, "
-            f"stride={self.stride}, padding={self.padding}, replicas={tuple(self.replicas)}"
-        )

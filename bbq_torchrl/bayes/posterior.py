@@ -8,8 +8,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
+from bbq_torchrl.bayes.functional import checked_number, replica_shape
 from bbq_torchrl.bayes.noise import NoiseSource, fill_normal_, is_transformed
-from bbq_torchrl.bayes.replicas import checked_number, replica_shape
 from bbq_torchrl.bayes.scope import KLSum, WeightMode, current_scope, resolve_weight_mode
 from bbq_torchrl.bayes.weight_draw import KL_KIND, KLKind, closed_kl, draw_with_kl
 from bbq_torchrl.settings import check

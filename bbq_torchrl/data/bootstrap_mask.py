@@ -7,13 +7,14 @@ from math import prod
 
 import torch
 from tensordict import TensorDictBase
-from tensordict.utils import NestedKey
 from torch import Tensor
 from torchrl.envs.transforms import Transform
 
-from bbq_torchrl.bayes.replicas import replica_shape
+from bbq_torchrl.bayes.functional import replica_shape
 from bbq_torchrl.settings import ABOVE_ZERO_TO_ONE, at_least, check
 from bbq_torchrl.utils.seeds import checked_seed, unshared_seed
+
+_MASK = "bootstrap_mask"
 
 
 class BootstrapMask(Transform):
@@ -21,7 +22,8 @@ class BootstrapMask(Transform):
 
     This is a replay buffer transform. Storing transitions without the entry ``bootstrap_mask``
     writes it, bool [*replicas, *rows, heads] of independent Bernoulli(prob) numbers; sampling
-    changes nothing.
+    changes nothing. Rows that an optional entry "valid", bool [*replicas, *rows], marks as False
+    get an empty mask and draw no random numbers.
 
     Each replica has a separate stream of random numbers. Its n-th stored transition gets the n-th
     numbers of the stream, regardless of how calls split the transitions, of other replicas and of
@@ -34,9 +36,6 @@ class BootstrapMask(Transform):
 
     Keyword Args:
         replicas: replica shape, the leading dimensions of the transitions. Defaults to ().
-        mask_key: the key of the masks. Defaults to "bootstrap_mask".
-        valid_key: an optional entry, bool [*replicas, *rows], True for valid rows. Invalid rows get
-            an empty mask and draw no random numbers. Defaults to "valid".
 
     Attributes:
         generator_state: uint8 buffer [*replicas, bytes], the state of each replica's stream, part
@@ -66,16 +65,13 @@ class BootstrapMask(Transform):
         prob: float = 0.5,
         *,
         replicas: int | Sequence[int] = (),
-        mask_key: NestedKey = "bootstrap_mask",
-        valid_key: NestedKey = "valid",
     ) -> None:
         check("heads", heads, at_least(1))
         check("prob", prob, ABOVE_ZERO_TO_ONE)
-        super().__init__(in_keys=[], out_keys=[], in_keys_inv=[], out_keys_inv=[mask_key])
+        super().__init__(in_keys=[], out_keys=[], in_keys_inv=[], out_keys_inv=[_MASK])
         self.heads = heads
         self.prob = prob
         self.replicas = replica_shape(replicas)
-        self.valid_key = valid_key
         # A buffer, not a generator, so that it is saved, copied and pickled with the module.
         size = torch.Generator().get_state().shape
         self.register_buffer(
@@ -83,12 +79,6 @@ class BootstrapMask(Transform):
         )
         drawn = torch.randint(2**63 - 1, (prod(self.replicas),)).tolist()
         self.set_seeds([unshared_seed(seed) for seed in drawn])
-
-    @property
-    def mask_key(self) -> NestedKey:
-        """The key of the masks."""
-        key: NestedKey = self.out_keys_inv[0]
-        return key
 
     def set_seeds(self, seeds: Sequence[int]) -> None:
         """Reseeds each replica's random numbers.
@@ -117,7 +107,7 @@ class BootstrapMask(Transform):
 
     def _inv_call(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the masks of transitions without masks."""
-        if tensordict.get(self.mask_key, None) is not None:
+        if tensordict.get(_MASK, None) is not None:
             return tensordict
         shape, dims = tensordict.batch_size, len(self.replicas)
         if shape[:dims] != self.replicas:
@@ -125,7 +115,7 @@ class BootstrapMask(Transform):
                 f"transitions must have the batch size [{', '.join(map(str, self.replicas))}, "
                 f"*rows], got {list(shape)}"
             )
-        valid = tensordict.get(self.valid_key, None)
+        valid = tensordict.get("valid", None)
         count, rows = prod(self.replicas), prod(shape[dims:])
         counts = [rows] * count
         if valid is not None:
@@ -136,7 +126,7 @@ class BootstrapMask(Transform):
             # the j-th valid row gets the j-th draw
             draw = (valid.cumsum(-1) - 1).clamp_min_(0).unsqueeze(-1).expand_as(mask)
             mask = mask.to(valid.device).gather(1, draw) & valid.unsqueeze(-1)
-        return tensordict.set(self.mask_key, mask.reshape(*shape, self.heads))
+        return tensordict.set(_MASK, mask.reshape(*shape, self.heads))
 
     def _draw(self, counts: Sequence[int], rows: int) -> Tensor:
         """Returns draws for each replica's first ``counts`` rows, bool [replicas, rows, heads]."""

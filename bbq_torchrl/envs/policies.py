@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from operator import index
 
 import torch
-from tensordict import NestedKey, TensorDictBase
+from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
 from torchrl.envs import EnvBase
 
@@ -144,12 +144,10 @@ def _legal(is_legal: torch.Tensor, actions: torch.Tensor) -> torch.Tensor:
 
 
 class SequencePolicy(TensorDictModuleBase):
-    """Plays a fixed sequence of actions, then repeats the last one.
+    """Plays a fixed sequence of actions by the entry ``turns``, then repeats the last one.
 
     Args:
         actions: the actions in order, at least one.
-        turns_key: entry that counts the turns taken in the episode, int64 ``[*batch, 1]``.
-        action_key: where the action is written, int64 ``[*batch]``.
 
     Raises:
         TypeError: if an action is not an integer.
@@ -163,23 +161,15 @@ class SequencePolicy(TensorDictModuleBase):
 
     actions: torch.Tensor
 
-    def __init__(
-        self,
-        actions: Sequence[int],
-        *,
-        turns_key: NestedKey = "turns",
-        action_key: NestedKey = "action",
-    ) -> None:
+    def __init__(self, actions: Sequence[int]) -> None:
         super().__init__()
-        self.turns_key, self.action_key = turns_key, action_key
-        self.in_keys, self.out_keys = [turns_key], [action_key]
+        self.in_keys, self.out_keys = ["turns"], ["action"]
         self.register_buffer("actions", torch.tensor([index(action) for action in actions]))
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the action of this turn."""
-        turns = tensordict.get(self.turns_key).squeeze(-1)
-        action = self.actions[turns.clamp(max=self.actions.shape[0] - 1)]
-        return tensordict.set(self.action_key, action)
+        turns = tensordict.get("turns").squeeze(-1)
+        return tensordict.set("action", self.actions[turns.clamp(max=len(self.actions) - 1)])
 
 
 class CarefulPolicy(TensorDictModuleBase):
@@ -235,10 +225,6 @@ class CarefulPolicy(TensorDictModuleBase):
 class UniformPolicy(TensorDictModuleBase):
     """Plays uniformly random legal actions. Unlike TorchRL's ``RandomPolicy`` it reads the mask.
 
-    Args:
-        mask_key: bool ``[*batch, N]``, the legal actions, at least one.
-        action_key: where the action is written, int64 ``[*batch]``.
-
     Examples:
         >>> from tensordict import TensorDict
         >>> mask = torch.tensor([[False, True, False]])
@@ -246,18 +232,15 @@ class UniformPolicy(TensorDictModuleBase):
         tensor([1])
     """
 
-    def __init__(
-        self, *, mask_key: NestedKey = "action_mask", action_key: NestedKey = "action"
-    ) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.mask_key, self.action_key = mask_key, action_key
-        self.in_keys, self.out_keys = [mask_key], [action_key]
+        self.in_keys, self.out_keys = ["action_mask"], ["action"]
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the action."""
-        mask = tensordict.get(self.mask_key)
+        mask = tensordict.get("action_mask")
         uniform = torch.rand(mask.shape, device=mask.device)
-        return tensordict.set(self.action_key, torch.where(mask, uniform, -1.0).argmax(-1))
+        return tensordict.set("action", torch.where(mask, uniform, -1.0).argmax(-1))
 
 
 def scripted_policy(name: str, env: EnvBase) -> TensorDictModuleBase:

@@ -13,8 +13,7 @@ from torchrl.modules import QValueActor
 
 from bbq_torchrl.bayes.scope import weight_scope
 from bbq_torchrl.exploration.base import ActorPolicy, Per, explores, weight_sums
-from bbq_torchrl.networks.q_actor import split_actor
-from bbq_torchrl.networks.vote import VoteModule
+from bbq_torchrl.networks.q_actor import VoteModule, split_actor
 
 
 class _HeadPolicy(ActorPolicy):
@@ -55,7 +54,7 @@ class MajorityVote(_HeadPolicy):
 
     Each head votes for its legal action with the highest value. Ties are broken by the highest mean
     value over all heads, then by the lowest index (see
-    :class:`~bbq_torchrl.networks.vote.VoteModule`). Writes the action and, as ``action_value``
+    :class:`~bbq_torchrl.networks.q_actor.VoteModule`). Writes the action and, as ``action_value``
     [*batch, N], the mean of the values over the heads.
 
     Args:
@@ -106,6 +105,9 @@ class BootstrapSampling(_HeadPolicy):
         init_key: bool [*batch, 1] or [*batch], True where a row begins an episode (TorchRL's
             ``InitTracker`` writes it); read for per="episode" only. Defaults to "is_init".
 
+    Attributes:
+        heads: the last active head of each row, int64 [*batch]; None before the first action.
+
     A change of the batch shape redraws the heads, as other rows are other episodes. Each call that
     may need heads draws them for all rows from torch's global generator, so a row's draw does not
     depend on when other rows begin.
@@ -133,32 +135,27 @@ class BootstrapSampling(_HeadPolicy):
         self, actor: QValueActor, *, per: Per = "episode", init_key: NestedKey = "is_init"
     ) -> None:
         super().__init__(actor, per, init_key)
-        self._heads: Tensor | None = None
+        self.heads: Tensor | None = None
         self._drawn_from: list[float] | None = None
-
-    @property
-    def heads(self) -> Tensor | None:
-        """The last active head of each row, int64 [*batch]; None before the first action."""
-        return self._heads
 
     def resample(self) -> None:
         """Discards the heads; the next call draws new ones."""
-        self._heads = None
+        self.heads = None
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Writes the greedy action of the row's head and that head's values."""
         choice, values = self._head_values(tensordict)
         if not explores():
             return choice.vote(tensordict, values)
-        self._heads = self._next_heads(tensordict, values)
-        index = self._heads[..., None, None].expand(*self._heads.shape, 1, values.shape[-1])
+        self.heads = self._next_heads(tensordict, values)
+        index = self.heads[..., None, None].expand(*self.heads.shape, 1, values.shape[-1])
         return choice.act_greedily(tensordict, values.gather(-2, index).squeeze(-2))
 
     @torch.inference_mode(False)  # the heads outlive the call
     def _next_heads(self, tensordict: TensorDictBase, values: Tensor) -> Tensor:
         rows = values.shape[:-2]
         new = self._episode_starts(tensordict)
-        last = self._heads
+        last = self.heads
         now = weight_sums(self.parameters()) if self.per == "round" else None
         if last is not None and (last.shape != rows or self._drawn_from != now):
             last = None

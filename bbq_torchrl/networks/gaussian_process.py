@@ -10,9 +10,8 @@ import torch
 import torch.nn.functional as F
 from torch import Tensor, nn
 
-from bbq_torchrl.bayes.functional import as_rows
+from bbq_torchrl.bayes.functional import as_rows, replica_shape
 from bbq_torchrl.bayes.layers import BayesLayer
-from bbq_torchrl.bayes.replicas import replica_shape
 from bbq_torchrl.bayes.scope import WeightMode, current_scope, resolve_weight_mode
 from bbq_torchrl.settings import ABOVE_ZERO, at_least, check, one_of
 

@@ -7,8 +7,7 @@ from collections.abc import Sequence
 import torch
 from torch import Tensor, nn
 
-from bbq_torchrl.bayes.functional import FlatLayout, as_rows, init_linear_, mlp
-from bbq_torchrl.bayes.replicas import replica_shape
+from bbq_torchrl.bayes.functional import FlatLayout, as_rows, init_linear_, mlp, replica_shape
 from bbq_torchrl.bayes.scope import WEIGHT_MODE, WeightMode, current_scope
 from bbq_torchrl.settings import AT_LEAST_ZERO, BELOW_ONE, at_least, check
 
@@ -234,11 +233,3 @@ class BootstrapMLP(nn.Module):
                 x = x.detach() + (x - x.detach()) / self.num_heads
         x = x.unsqueeze(dim).expand(*x.shape[:dim], self.num_heads, *x.shape[dim:])
         return mlp(x, heads, self.head_layout)
-
-    def extra_repr(self) -> str:
-        """Returns the sizes for ``repr``."""
-        trunk = self.trunk_layout.sizes if self.trunk_layout else ()
-        return (
-            f"trunk={trunk}, head={self.head_layout.sizes}, heads={self.num_heads}, "
-            f"replicas={tuple(self.replicas)}, prior_scale={self.prior_scale}"
-        )

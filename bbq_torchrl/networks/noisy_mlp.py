@@ -8,8 +8,7 @@ import torch
 from torch import Tensor, nn
 from torchrl.modules import NoisyLinear
 
-from bbq_torchrl.bayes.functional import FlatLayout, as_rows
-from bbq_torchrl.bayes.replicas import replica_shape
+from bbq_torchrl.bayes.functional import FlatLayout, as_rows, replica_shape
 from bbq_torchrl.bayes.scope import WeightMode, resolve_weight_mode
 from bbq_torchrl.settings import ABOVE_ZERO, check
 
@@ -112,10 +111,6 @@ class ReplicaNoisyLinear(NoisyLinear):
             spread = torch.baddbmm(bias_sigma, weight_sigma, columns * noise_in)
             out = torch.addcmul(out, spread, noise_out)
         return out.mT.reshape(*x.shape[:-1], self.out_features)
-
-    def extra_repr(self) -> str:
-        """Returns the sizes for ``repr``."""
-        return f"{super().extra_repr()}, replicas={tuple(self.replicas)}, std_init={self.std_init}"
 
 
 class NoisyMLP(nn.Module):

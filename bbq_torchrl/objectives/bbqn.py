@@ -12,9 +12,9 @@ from torchrl.data import TensorSpec
 from torchrl.envs.utils import ExplorationType
 from torchrl.modules import QValueActor
 
+from bbq_torchrl.bayes.functional import checked_number
 from bbq_torchrl.bayes.noise import NoisePool, NoiseSource, SharedNoise
 from bbq_torchrl.bayes.posterior import posteriors
-from bbq_torchrl.bayes.replicas import checked_number
 from bbq_torchrl.bayes.scope import KLSum
 from bbq_torchrl.bayes.weight_draw import KL_KIND, KLKind
 from bbq_torchrl.objectives.q_learning import OneStepQLoss

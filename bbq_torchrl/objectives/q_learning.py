@@ -18,7 +18,7 @@ from torchrl.modules import QValueActor
 from torchrl.objectives import DQNLoss
 from torchrl.objectives.utils import ValueEstimators
 
-from bbq_torchrl.bayes.replicas import checked_number, replicas_of
+from bbq_torchrl.bayes.functional import checked_number, replicas_of
 from bbq_torchrl.bayes.scope import WeightMode
 from bbq_torchrl.networks.q_actor import legal_actions, masked
 from bbq_torchrl.objectives.td_loss import DISTANCE, Distance, margin_loss, td_loss

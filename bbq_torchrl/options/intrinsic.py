@@ -75,15 +75,15 @@ class VIME(IntrinsicOption):
         """Adds the loss of the dynamics, and the transform that adds the bonus to the rewards."""
         import torch
 
-        from bbq_torchrl.networks.growth import reset_inactive_
         from bbq_torchrl.vime import DynamicsLoss, DynamicsModel, VIMEReward, vime_losses
 
         model = keywords(self, task, "prior_std", "noise_std", "std_floor")
         dynamics = DynamicsModel(task.inputs, task.actions, self.hidden, **task.place, **model)
-        if task.inactive_inputs is not None and task.inactive_actions is not None:
+        if task.inactive is not None:
             # The outputs are not reset: that a feature is constant can be learned beforehand.
-            inactive = torch.cat([task.inactive_inputs, task.inactive_actions])
-            reset_inactive_(dynamics.network, inputs=inactive)
+            inputs, outputs = torch.cat(task.inactive), torch.zeros_like(task.inactive[0])
+            with torch.no_grad():
+                dynamics.network.reset_inactive_(inputs, outputs)
         names = ("eta", "weights", "step_size", "median_window", "clip")
         reward = VIMEReward(dynamics, **keywords(self, task, *names))
         return vime_losses(loss, DynamicsLoss(dynamics, every=self.dynamics_every)), [reward]

@@ -32,8 +32,8 @@ class Task:
         rounds: rounds of the training, for schedules.
         device: device of the weights.
         action_mask_key: key of the mask of legal actions; None: all actions are always legal.
-        inactive_inputs: bool [inputs], features that become active later; None: all are active.
-        inactive_actions: bool [actions], actions that become active later; None: all are active.
+        inactive: the features, bool [inputs], and actions, bool [actions], that become active
+            later; None: all are active.
     """
 
     inputs: int
@@ -42,8 +42,7 @@ class Task:
     rounds: int
     device: torch.device | None = None
     action_mask_key: str | None = "action_mask"
-    inactive_inputs: Tensor | None = None
-    inactive_actions: Tensor | None = None
+    inactive: tuple[Tensor, Tensor] | None = None
 
     @property
     def actions(self) -> int:
@@ -73,13 +72,13 @@ class Task:
     def reset_inactive_(self, network: Any) -> None:
         """Initializes the weights of inactive inputs and actions as if they were added later.
 
-        See :func:`~bbq_torchrl.networks.growth.reset_inactive_`; the network must be
-        :class:`~bbq_torchrl.protocols.Growing`.
+        The network must be :class:`~bbq_torchrl.protocols.Growing`.
         """
-        from bbq_torchrl.networks.growth import reset_inactive_
+        import torch
 
-        if self.inactive_inputs is not None or self.inactive_actions is not None:
-            reset_inactive_(network, inputs=self.inactive_inputs, outputs=self.inactive_actions)
+        if self.inactive is not None:
+            with torch.no_grad():
+                network.reset_inactive_(*self.inactive)
 
 
 def action_mask_key(env: EnvBase) -> str | None:

@@ -107,7 +107,6 @@ def check_device(device: str) -> None:
 
 def task_of(config: Config, env: EnvBase) -> Task:
     """Returns the shapes that networks and exploration depend on."""
-    inputs, actions = config.env.inactive(env) or (None, None)
     return Task(
         inputs=env.observation_spec["observation"].shape[-1],
         action_spec=env.action_spec_unbatched,
@@ -115,8 +114,7 @@ def task_of(config: Config, env: EnvBase) -> Task:
         rounds=config.protocol.rounds,
         device=env.device,
         action_mask_key=action_mask_key(env),
-        inactive_inputs=inputs,
-        inactive_actions=actions,
+        inactive=config.env.inactive(env),
     )
 
 

@@ -226,7 +226,3 @@ class DynamicsModel(nn.Module):
             weights: as in :meth:`BayesLayer.forward`.
         """
         return self.network(self.inputs(observation, action), mode, weights)
-
-    def extra_repr(self) -> str:
-        """Returns the likelihood and the floor for ``repr``."""
-        return f"noise_std={self.noise_std}, std_floor={self.std_floor}"

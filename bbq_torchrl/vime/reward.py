@@ -9,11 +9,10 @@ from typing import Literal, get_args
 import torch
 import torch.nn.functional as F
 from tensordict import TensorDictBase
-from tensordict.utils import NestedKey, unravel_key
 from torch import Tensor
 from torchrl.envs import Transform
 
-from bbq_torchrl.bayes.replicas import checked_number
+from bbq_torchrl.bayes.functional import checked_number
 from bbq_torchrl.settings import ABOVE_ZERO, AT_LEAST_ZERO, at_least, check, one_of
 from bbq_torchrl.utils.seeds import checked_seed
 from bbq_torchrl.vime.dynamics import DynamicsModel
@@ -21,6 +20,7 @@ from bbq_torchrl.vime.information_gain import RunningMedian, information_gain
 
 GainWeights = Literal["map", "mc"]
 
+_REWARD, _BONUS = ("next", "reward"), ("next", "intrinsic_reward")
 _PIECE = 256  # rows processed at once, so that a row does not depend on the number of others
 
 
@@ -48,8 +48,8 @@ class VIMEReward(Transform):
     measures the gain relative to the usual. The step size λ cancels.
 
     Terminated transitions get a bonus of 0, as the model does not predict them, and are excluded
-    from the medians, as are invalid rows (``valid_key``). Transitions that already have a bonus
-    keep it and do not change statistics or medians.
+    from the medians, as are rows that an optional entry "valid", bool [*batch], marks as False.
+    Transitions that already have a bonus keep it and do not change statistics or medians.
 
     Replicas are independent: a replica's bonuses do not depend, to the bit, on another's
     transitions or on the number of rows.
@@ -63,16 +63,9 @@ class VIMEReward(Transform):
         weights: "map", the gain at the posterior's mean, or "mc", at one weight draw per store,
             shared by its transitions. Defaults to "map".
         step_size: λ of the gain. Defaults to 0.01.
-        normalize: whether the gain is divided by m. Defaults to True.
         median_window: the number of stores in m; use more if each has only a few transitions.
             Defaults to 10.
         clip: the maximum bonus. Defaults to 10.
-        observation_key: the state, at the root and under "next".
-        action_key: an index or vector, see :meth:`DynamicsModel.encode_action`.
-        reward_key: under "next", the task's reward [*batch, 1] or [*batch].
-        terminated_key: under "next", bool [*batch, 1].
-        valid_key: an optional entry, bool [*batch], True for valid rows.
-        intrinsic_reward_key: under "next", the bonus, [*batch, 1].
 
     Attributes:
         median: m, a :class:`~bbq_torchrl.vime.information_gain.RunningMedian`, with its buffers.
@@ -110,31 +103,21 @@ class VIMEReward(Transform):
         eta: float | Tensor = 0.1,
         weights: GainWeights = "map",
         step_size: float = 0.01,
-        normalize: bool = True,
         median_window: int = 10,
         clip: float = 10.0,
-        observation_key: NestedKey = "observation",
-        action_key: NestedKey = "action",
-        reward_key: NestedKey = "reward",
-        terminated_key: NestedKey = "terminated",
-        valid_key: NestedKey = "valid",
-        intrinsic_reward_key: NestedKey = "intrinsic_reward",
     ) -> None:
         check("weights", weights, one_of(*get_args(GainWeights)))
         for name, value in (("step_size", step_size), ("clip", clip)):
             check(name, value, ABOVE_ZERO)
         check("median_window", median_window, at_least(1))
         eta = checked_number("eta", eta, dynamics.replicas, AT_LEAST_ZERO)
-        after_keys = (observation_key, terminated_key, reward_key, intrinsic_reward_key)
-        after, terminated, reward, bonus = (unravel_key(("next", key)) for key in after_keys)
         super().__init__(
-            in_keys=[reward, bonus],
-            out_keys=[reward],
-            in_keys_inv=[observation_key, action_key, after, terminated],
-            out_keys_inv=[bonus],
+            in_keys=[_REWARD, _BONUS],
+            out_keys=[_REWARD],
+            in_keys_inv=["observation", "action", ("next", "observation"), ("next", "terminated")],
+            out_keys_inv=[_BONUS],
         )
         self.replicas = dynamics.replicas
-        self.valid_key = valid_key
         if isinstance(eta, Tensor):
             self.register_buffer("eta", eta, persistent=False)
         else:
@@ -145,7 +128,6 @@ class VIMEReward(Transform):
         self.dynamics = dynamics
         self.weights = weights
         self.step_size = step_size
-        self.normalize = normalize
         self.clip = clip
         self.median = RunningMedian(dynamics.replicas, median_window, dynamics.mean)
         self._generators: list[torch.Generator] | None = None
@@ -185,14 +167,13 @@ class VIMEReward(Transform):
 
     def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
         """Returns a shallow copy whose reward is task reward + eta · bonus; the input stays."""
-        reward_key, bonus_key = self.in_keys
-        reward, eta = tensordict.get(reward_key), self.eta
-        bonus = tensordict[bonus_key].to(reward).reshape(reward.shape)
+        reward, eta = tensordict.get(_REWARD), self.eta
+        bonus = tensordict[_BONUS].to(reward).reshape(reward.shape)
         out = tensordict.clone(recurse=False)
         if not isinstance(eta, Tensor):
-            return out.set(reward_key, torch.add(reward, bonus, alpha=eta))
+            return out.set(_REWARD, torch.add(reward, bonus, alpha=eta))
         eta = eta.to(reward).reshape(eta.shape + (1,) * (reward.ndim - eta.ndim))
-        return out.set(reward_key, torch.addcmul(reward, bonus, eta))
+        return out.set(_REWARD, torch.addcmul(reward, bonus, eta))
 
     # -- storing ----------------------------------------------------------------------------
 
@@ -203,8 +184,7 @@ class VIMEReward(Transform):
         Raises:
             ValueError: the batch does not begin with the replicas.
         """
-        (bonus_key,) = self.out_keys_inv
-        if tensordict.get(bonus_key, None) is not None:
+        if tensordict.get(_BONUS, None) is not None:
             return tensordict
         batch = tensordict.batch_size
         if batch[: len(self.replicas)] != self.replicas:
@@ -216,7 +196,7 @@ class VIMEReward(Transform):
         observation, action, following, terminated = (
             tensordict[key].to(device) for key in self.in_keys_inv
         )
-        valid = tensordict.get(self.valid_key, None)
+        valid = tensordict.get("valid", None)
         if valid is None:
             valid = torch.ones(batch, dtype=torch.bool)
         valid = valid.bool().reshape(batch).to(device)
@@ -230,7 +210,7 @@ class VIMEReward(Transform):
         ]
         rows = [entry.reshape(*self.replicas, -1, entry.shape[-1]) for entry in rows]
         bonus = self._bonus(*rows).reshape(*batch, 1)
-        return tensordict.set(bonus_key, bonus.to(tensordict.device or observation.device))
+        return tensordict.set(_BONUS, bonus.to(tensordict.device or observation.device))
 
     def _bonus(
         self,
@@ -256,10 +236,9 @@ class VIMEReward(Transform):
         ]
         gain = torch.cat(gains, -1)[..., :count]
         is_predicted = predicted.squeeze(-1)
-        if self.normalize:
-            median = self.median.update(gain, is_predicted).unsqueeze(-1)
-            # if more than half of the gains are 0, the other ones are clipped
-            gain = gain / median.clamp_min(torch.finfo(gain.dtype).tiny)
+        median = self.median.update(gain, is_predicted).unsqueeze(-1)
+        # if more than half of the gains are 0, the other ones are clipped
+        gain = gain / median.clamp_min(torch.finfo(gain.dtype).tiny)
         bonus = torch.where(is_predicted, gain.clamp_max(self.clip), 0)
         # cumsum adds from left to right, so the zeros of the padding at the end change no bit
         total = bonus.double().cumsum(-1)[..., -1]

@@ -14,7 +14,7 @@ from bbq_torchrl.bayes import (
     kl_divergence,
     weight_scope,
 )
-from bbq_torchrl.bayes.replicas import checked_number
+from bbq_torchrl.bayes.functional import checked_number
 from bbq_torchrl.settings import PROBABILITY
 
 

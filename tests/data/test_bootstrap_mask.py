@@ -65,24 +65,24 @@ def test_a_mask_that_is_there_stays_and_takes_no_number():
     assert torch.equal(transform.generator_state, state)
 
 
-def test_torchrls_replay_buffer_keeps_each_transitions_mask_under_any_name():
+def test_torchrls_replay_buffer_keeps_each_transitions_mask():
     buffer = TensorDictReplayBuffer(
         storage=LazyTensorStorage(100),
         sampler=SamplerWithoutReplacement(),
-        transform=BootstrapMask(4, mask_key=("my", "mask"), valid_key=("my", "rows")),
+        transform=BootstrapMask(4),
         batch_size=10,
     )
-    rows = TensorDict(number=torch.arange(30), my={"rows": torch.arange(30) != 3}, batch_size=[30])
+    rows = TensorDict(number=torch.arange(30), valid=torch.arange(30) != 3, batch_size=[30])
     buffer.extend(rows)
-    assert ("my", "mask") not in rows.keys(include_nested=True)
-    buffer.add(TensorDict(number=torch.tensor(30), my={"rows": torch.tensor(True)}))
-    stored = buffer[:]["my", "mask"].clone()
+    assert "bootstrap_mask" not in rows
+    buffer.add(TensorDict(number=torch.tensor(30), valid=torch.tensor(True)))
+    stored = buffer[:]["bootstrap_mask"].clone()
     assert stored.shape == (31, 4)
     assert stored.any()
     assert not stored[3].any()
     for _ in range(7):
         batch = buffer.sample()
-        assert torch.equal(batch["my", "mask"], stored[batch["number"]])
+        assert torch.equal(batch["bootstrap_mask"], stored[batch["number"]])
 
 
 @pytest.mark.parametrize(

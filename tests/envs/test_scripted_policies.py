@@ -39,9 +39,8 @@ def test_the_rule_policy_plays_its_script_whatever_the_user_says(movie):
 
 
 def test_a_script_repeats_its_last_action():
-    policy = SequencePolicy([3, 5], turns_key=("info", "turns"), action_key="choice")
-    td = TensorDict({"info": {"turns": torch.tensor([[0], [1], [2], [7]])}}, batch_size=[4])
-    assert policy(td)["choice"].tolist() == [3, 5, 5, 5]
+    td = TensorDict({"turns": torch.tensor([[0], [1], [2], [7]])}, batch_size=[4])
+    assert SequencePolicy([3, 5])(td)["action"].tolist() == [3, 5, 5, 5]
 
 
 def test_the_random_policy_plays_every_legal_action_alike():

@@ -13,7 +13,7 @@ from torchrl.modules import QValueActor
 
 from bbq_torchrl.exploration import BootstrapSampling, EvaluationPolicy, Greedy, MajorityVote
 from bbq_torchrl.networks import BootstrapMLP, bootstrap_actor
-from bbq_torchrl.networks.vote import VoteModule
+from bbq_torchrl.networks.q_actor import VoteModule
 
 RANDOM, DETERMINISTIC = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
 HEADS = 7
@@ -148,7 +148,7 @@ def test_a_missing_mask_is_an_error_and_not_that_all_is_legal(policy):
 
 
 def test_what_they_read_and_write():
-    keys = {"action_key": ("act", "a"), "action_value_key": ("act", "q"), "head_value_key": "all"}
+    keys = {"action_key": ("act", "a"), "action_value_key": ("act", "q")}
     net = BootstrapMLP(FEATURES, ACTIONS, heads=2)
     actor = bootstrap_actor(net, SPEC, in_keys=["see"], action_mask_key="may", **keys)
     assert isinstance(actor, QValueActor)
@@ -161,6 +161,6 @@ def test_what_they_read_and_write():
         out = policy(td.clone())
         assert set(out.keys(True, True)) == {"see", "may", "is_init", *policy.out_keys}
     out = actor(td.clone())
-    assert out["all"].shape == (4, 2, ACTIONS)
+    assert out["head_value"].shape == (4, 2, ACTIONS)
     assert out["act", "q"].shape == (4, ACTIONS)
-    assert set(actor.out_keys) == {"all", *MajorityVote(actor).out_keys}
+    assert set(actor.out_keys) == {"head_value", *MajorityVote(actor).out_keys}

@@ -9,7 +9,7 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.data import Categorical, OneHot
 
-from bbq_torchrl.bayes import BayesConv2d, BayesMLP
+from bbq_torchrl.bayes import BayesMLP
 from bbq_torchrl.networks import (
     BootstrapMLP,
     FlatMLP,
@@ -17,7 +17,6 @@ from bbq_torchrl.networks import (
     bootstrap_actor,
     q_actor,
 )
-from bbq_torchrl.networks.growth import reset_inactive_
 
 HEADS = partial(BootstrapMLP, heads=3, trunk_layers=1, prior_scale=0.5)
 SEPARATE = partial(BootstrapMLP, heads=3, trunk_layers=0)
@@ -90,16 +89,8 @@ MANY = Categorical(4, shape=(3,))
         ("std_init", lambda: NoisyMLP(4, 3, std_init=0.0)),
         ("spec", lambda: q_actor(nn.Linear(2, 4), MANY)),
         ("spec", lambda: bootstrap_actor(nn.Linear(2, 4), MANY)),
-        ("inputs", lambda: reset_inactive_(FlatMLP(3, 2), inputs=torch.tensor([0, 1, 1]))),
-        ("outputs", lambda: reset_inactive_(FlatMLP(3, 2), outputs=torch.ones(3).bool())),
     ],
 )
 def test_what_makes_no_network_or_actor_is_refused(key, wrong):
     with pytest.raises(ValueError, match=key):
         wrong()
-
-
-@pytest.mark.parametrize("net", [nn.Linear(3, 2), BayesConv2d(3, 2, 1)])
-def test_a_network_that_cannot_start_with_inactive_inputs_is_refused(net):
-    with pytest.raises(TypeError, match=type(net).__name__):
-        reset_inactive_(net, inputs=torch.tensor([False, True, True]))

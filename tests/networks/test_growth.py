@@ -10,7 +10,6 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl.bayes import BayesMLP, kl_divergence, weight_scope
 from bbq_torchrl.networks import BootstrapMLP, FlatMLP, NoisyMLP
-from bbq_torchrl.networks.growth import reset_inactive_
 
 REPLICAS = [(), (2,)]
 INPUTS, OUTPUTS = torch.tensor([4, 0, 2]), torch.tensor([1, 3])  # the active ones, in their order
@@ -35,7 +34,8 @@ def test_a_masked_network_trains_as_a_smaller_one(kind, replicas):
     if kind is BayesMLP:
         options.update(prior_std=0.3, mean_init="kaiming", std_init=0.05)
     masked, small = kind(5, 4, (7, 6), **options), kind(3, 2, (7, 6), **options)
-    reset_inactive_(masked, inputs=LATE_INPUTS, outputs=LATE_OUTPUTS)
+    with torch.no_grad():
+        masked.reset_inactive_(LATE_INPUTS, LATE_OUTPUTS)
     start = [parameter.detach().clone() for parameter in masked.parameters()]
     index = places_of_active_weights(masked.layout)
     with torch.no_grad():
@@ -70,7 +70,7 @@ def test_a_masked_network_trains_as_a_smaller_one(kind, replicas):
 
 
 class OwnNetwork(nn.Linear):
-    """A custom network with only the members of Growing."""
+    """A custom network with only the member of Growing."""
 
     def reset_inactive_(self, inputs, outputs):
         self.weight[:, inputs] = 0
@@ -107,7 +107,8 @@ def test_a_feature_that_appears_late_changes_nothing_before_it_is_learned(kind, 
 
     optimizer = torch.optim.Adam(net.parameters(), 0.01)
     start = values(early)
-    reset_inactive_(net, inputs=LATE_INPUTS, outputs=LATE_OUTPUTS)
+    with torch.no_grad():
+        net.reset_inactive_(LATE_INPUTS, LATE_OUTPUTS)
     assert torch.equal(values(early), start)  # new outputs keep their start
     assert torch.equal(values(x), start)
     for _ in range(5):

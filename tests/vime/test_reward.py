@@ -78,12 +78,13 @@ def test_what_is_stored_is_counted_once_in_statistics_and_report():
 @pytest.mark.parametrize("weights", ["map", "mc"])
 def test_mc_is_one_draw_a_store_and_map_none(weights):
     td = transitions(30, ends=0.0)
-    vime = transform(weights=weights, normalize=False, clip=1e9, step_size=0.5)
+    vime = transform(weights=weights, clip=1e9, step_size=0.5)
     torch.manual_seed(5)
     bonus = vime.inv(td)[BONUS].squeeze(-1)
     torch.manual_seed(5)
     noise = torch.randn_like(vime.dynamics.network.posterior.mu) if weights == "mc" else None
-    torch.testing.assert_close(bonus, gain_of(vime, td, noise=noise, step_size=0.5))
+    gain = gain_of(vime, td, noise=noise, step_size=0.5)
+    torch.testing.assert_close(bonus, gain / gain.median())
 
 
 def test_single_rows_batches_of_any_shape_and_ends_of_any_dtype():
@@ -156,26 +157,6 @@ def test_replicas_may_have_an_eta_each_which_follows_the_rows_to_their_device():
     td[BONUS] = torch.ones(3, 6, 1)
     torch.testing.assert_close(vime(td)[REWARD], td[REWARD] + eta.reshape(3, 1, 1))
     assert vime(td.to("meta"))[REWARD].device.type == "meta"
-
-
-def test_keys_can_have_other_names():
-    plain, td = transform(), transitions(20)
-    stored = plain.inv(td)
-    td["agent", "state"] = td.pop("observation")
-    td["next", "agent", "state"] = td["next"].pop("observation")
-    td["act"] = td.pop("action")
-    td["next", "pay"] = td["next"].pop("reward")
-    td["next", "over"] = td["next"].pop("terminated")
-    vime = transform(
-        observation_key=("agent", "state"),
-        action_key="act",
-        reward_key="pay",
-        terminated_key="over",
-        intrinsic_reward_key=("agent", "bonus"),
-    )
-    out = vime.inv(td)
-    assert torch.equal(out["next", "agent", "bonus"], stored[BONUS])
-    assert torch.equal(vime(out)["next", "pay"], plain(stored)[REWARD])
 
 
 def test_what_does_not_fit_is_refused():
