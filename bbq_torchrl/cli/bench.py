@@ -6,11 +6,6 @@ seed, trained to the largest budget by the pipeline of ``bbq train``.
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # before anything that takes time to import
-    from bbq_torchrl.utils import interruption
-
-    interruption.listen()
-
 import json
 import logging
 import math
@@ -389,7 +384,3 @@ def _write(given: Namespace, command: str, cells: Sequence[Cell], missing: list[
     report.write(given.folder)
     write_json(content, given.folder / "bench.json")
     return str(report)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -52,3 +52,7 @@ def main() -> int | None:
 def _usage() -> str:
     lines = [f"  {name:<10} {meaning}" for name, (_, meaning) in COMMANDS.items()]
     return "\n".join(["usage: bbq <command> ...", "", *lines, "", "bbq <command> --help", ""])
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -2,11 +2,6 @@
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # before anything that takes time to import
-    from bbq_torchrl.utils import interruption
-
-    interruption.listen()
-
 import json
 import sys
 import time
@@ -182,7 +177,3 @@ def _write_log(config: EvaluateConfig, env: DialogueEnv, policy: TensorDictModul
         write_text(file, "\n".join(texts))
     except OSError as error:
         raise ConfigError(f"log={config.log} cannot be written: {error.strerror}") from error
-
-
-if __name__ == "__main__":
-    sys.exit(main())

@@ -2,12 +2,6 @@
 
 from __future__ import annotations
 
-if __name__ == "__main__":  # before anything that takes time to import
-    from bbq_torchrl.utils import interruption
-
-    interruption.listen()
-
-import sys
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -225,7 +219,3 @@ def main(arguments: Sequence[str] | None = None) -> int:
         report.write(given.out)
     output.write(str(report))
     return 0
-
-
-if __name__ == "__main__":
-    sys.exit(main())

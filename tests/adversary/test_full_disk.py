@@ -82,7 +82,7 @@ def test_a_folder_that_cannot_be_written_is_a_sentence(disk, references, tmp_pat
         {command(*reference.overrides, "hydra.run.dir=disk/new")} 2> new; echo $? >> codes
         {command("resume=disk/run", "protocol.rounds=9")} 2> resume; echo $? >> codes
         cd disk; {command(*reference.overrides)} 2> ../unnamed; echo $? >> ../codes
-        {sys.executable} -m bbq_torchrl.cli.evaluate policy=run dialogues=2 2> ../evaluate
+        {sys.executable} -m bbq_torchrl.cli.console evaluate policy=run dialogues=2 2> ../evaluate
         echo $? >> ../codes
     """
     disk(script, tmp_path)

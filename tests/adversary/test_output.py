@@ -13,9 +13,9 @@ pytestmark = pytest.mark.slow
 
 TRAIN = str(ROOT / "train.py")
 COMMANDS = {
-    "evaluate": ("-m", "bbq_torchrl.cli.evaluate", "policy=rule", "dialogues=2"),
-    "report --help": ("-m", "bbq_torchrl.evaluation.compare_runs", "--help"),
-    "bbq": ("-c", "import sys; from bbq_torchrl.cli.console import main; sys.exit(main())"),
+    "evaluate": ("-m", "bbq_torchrl.cli.console", "evaluate", "policy=rule", "dialogues=2"),
+    "report --help": ("-m", "bbq_torchrl.cli.console", "report", "--help"),
+    "bbq": ("-m", "bbq_torchrl.cli.console"),
 }
 
 

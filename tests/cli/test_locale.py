@@ -49,7 +49,8 @@ def test_a_run_is_trained_resumed_and_evaluated_in_a_folder_of_any_name(locale, 
     train, keys = ROOT / "train.py", (*TINY, "agent=dqn")
     run(train, *keys, "hydra.run.dir=run")
     run(train, "resume=run", "protocol.rounds=3")
-    assert b'"mode"' in run("-m", "bbq_torchrl.cli.evaluate", "policy=run", "dialogues=6").stdout
+    bbq = ("-m", "bbq_torchrl.cli.console")
+    assert b'"mode"' in run(*bbq, "evaluate", "policy=run", "dialogues=6").stdout
     run(train, "--multirun", *keys, "seed=0,1", "hydra.launcher.n_jobs=1", "hydra.sweep.dir=sweep")
     log = os.path.join(folder, b"sweep", b"1_dqn_epsilon_greedy_full_seed1", b"train.log")
     with open(log, encoding="utf-8") as file:

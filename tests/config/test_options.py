@@ -235,7 +235,7 @@ def test_the_commands_take_a_folder_in_processes_of_their_own(own, tmp_path):
     forked.python(train, *folder, *sweep, cwd=tmp_path)
     (one, _) = sorted(file.parent for file in (tmp_path / "sweep").rglob("result.json"))
     assert "with --config-dir <folder>" in refused(train, f"resume={one}")
-    evaluated = ("-m", "bbq_torchrl.cli.evaluate", f"policy={one}", "dialogues=2")
+    evaluated = ("-m", "bbq_torchrl.cli.console", "evaluate", f"policy={one}", "dialogues=2")
     assert "with --config-dir <folder>" in refused(*evaluated)
-    out, _ = forked.python(*evaluated[:2], *folder, *evaluated[2:], cwd=tmp_path)
+    out, _ = forked.python(*evaluated[:3], *folder, *evaluated[3:], cwd=tmp_path)
     assert json.loads(out)["dialogues"] == 2

@@ -47,8 +47,8 @@ def test_nothing_but_the_result_is_printed_of_weights_saved_with_other_versions(
 
     (saved,) = (copy(finished) / "checkpoint").iterdir()
     rewritten(saved, older)
-    evaluate_it = ("-m", "bbq_torchrl.cli.evaluate", f"policy={tmp_path / 'run'}", "dialogues=4")
-    out, error = forked.python(*evaluate_it, cwd=tmp_path)
+    evaluate_it = ("evaluate", f"policy={tmp_path / 'run'}", "dialogues=4")
+    out, error = forked.python("-m", "bbq_torchrl.cli.console", *evaluate_it, cwd=tmp_path)
     assert json.loads(out)["dialogues"] == 4
     assert error.startswith("result.json has ")
     assert error.count("\n") == 1
