@@ -109,14 +109,25 @@ class StateFeatures(nn.Module):
         scale.copy_(1 / (self.lengthscale * median.nan_to_num(1.0)))
         found64 = found.double()
         gram = self._similarity(found64, found64, scale.double())
-        one = torch.eye(len(found), dtype=gram.dtype, device=gram.device)
-        inverse = torch.linalg.solve_triangular(
-            torch.linalg.cholesky(gram + _JITTER * one), one, upper=False
-        )
+        gram.diagonal().add_(_JITTER)
+        inverse = inverse_root(gram)
         for part in (own, whitening):
             part.zero_()
         own[: len(found)] = found
         whitening[: len(found), : len(found)] = inverse.mT
+
+
+def inverse_root(matrix: Tensor) -> Tensor:
+    """Returns L⁻¹, with A = L Lᵀ, of a matrix A [M, M]; NaN if A is not positive definite.
+
+    Examples:
+        >>> inverse_root(torch.tensor([[4.0]])), inverse_root(torch.tensor([[-1.0]]))
+        (tensor([[0.5000]]), tensor([[nan]]))
+    """
+    root, fault = torch.linalg.cholesky_ex(matrix)
+    one = torch.eye(len(matrix), dtype=matrix.dtype, device=matrix.device)
+    inverse = torch.linalg.solve_triangular(root, one, upper=False)
+    return torch.where(fault == 0, inverse, torch.nan)
 
 
 def _first_of_each(states: Tensor) -> Tensor:

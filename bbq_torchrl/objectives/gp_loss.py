@@ -10,7 +10,7 @@ from torch import Tensor
 from torchrl.data import TensorSpec
 from torchrl.modules import QValueActor
 
-from bbq_torchrl.networks.gaussian_process import GaussianProcess
+from bbq_torchrl.networks.gaussian_process import GaussianProcess, inverse_root
 from bbq_torchrl.networks.q_actor import legal_actions, masked
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 from bbq_torchrl.objectives.weighting import valid_rows
@@ -102,7 +102,7 @@ class GPLoss(OneStepQLoss):
 
         Returns:
             "loss_value" (mean squared TD error after the last sweep), "td_error" and "q_value",
-            each [*replicas].
+            each [*replicas]; NaN, as then the posterior, for a replica whose fit has no solution.
         """
         reward, index = self._reward_and_index(tensordict)
         valid = valid_rows(self, tensordict, reward.shape[:-1])
@@ -170,7 +170,7 @@ def posterior_factors(
     """Returns F [A, M, M] with Fᵀ F = (I / p² + Σ φ φᵀ / σ²)⁻¹, each action's posterior covariance.
 
     The sum is over the action's rows. One Cholesky decomposition an action, in the features' dtype:
-    float64 for many rows with little noise.
+    float64 for many rows with little noise. NaN for an action without a solution.
 
     Args:
         features: φ, shape [N, M].
@@ -185,14 +185,12 @@ def posterior_factors(
                 [[1.0000]]])
     """
     size = features.shape[-1]
-    one = torch.eye(size, dtype=features.dtype, device=features.device)
     counts = action.bincount(minlength=actions).tolist()
     factors = features.new_empty(actions, size, size)
     for number, rows in enumerate(features[action.argsort(stable=True)].split(counts)):
         precision = rows.mT @ rows / noise_std**2
         precision.diagonal().add_(prior_std**-2 + _JITTER * precision.diagonal().max())
-        root = torch.linalg.cholesky(precision)
-        torch.linalg.solve_triangular(root, one, upper=False, out=factors[number])
+        factors[number] = inverse_root(precision)
     return factors
 
 

@@ -265,13 +265,9 @@ class RoundTrainer:
 
     def _learn(self, round_number: int) -> dict[str, list[float]]:
         """Learns and returns the means of the loss's metrics, for each replica."""
-        try:
-            means = self.learner.learn(round_number, self.seed)
-        except torch.linalg.LinAlgError as error:  # type: ignore[attr-defined]  # by a closed-form fit
-            raise NonFiniteLossError(
-                f"the fit of round {round_number} has no solution: {self.remedy}"
-            ) from error
-        broken = [r for r, loss in enumerate(means["loss"]) if not math.isfinite(loss)]
+        means = self.learner.learn(round_number, self.seed)
+        known = self.learner.diverged
+        broken = [r for r, x in enumerate(means["loss"]) if r not in known and not math.isfinite(x)]
         if broken:
             saved = self._save(name=f"failed-round-{round_number:06d}")
             noun = "replica" if len(broken) == 1 else "replicas"

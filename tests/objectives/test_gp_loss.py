@@ -54,6 +54,17 @@ def test_sweeps_are_value_iteration_where_every_state_is_known():
     assert out["td_error"] < 0.02
 
 
+def test_a_fit_without_a_solution_leaves_the_other_replicas_alone():
+    data, loss, other = transitions(replicas=(2,), batch=(64,)), gp_loss(2), gp_loss(2)
+    other.load_state_dict(loss.state_dict())
+    plain = other.fit(data)
+    data["observation"][0, 3] = torch.inf
+    out = loss.fit(data)
+    assert out["loss_value"].isnan().tolist() == [True, False]
+    assert torch.equal(loss.network.mean[1:], other.network.mean[1:])
+    assert torch.equal(out["loss_value"][1:], plain["loss_value"][1:])
+
+
 def test_drawn_targets_are_those_of_one_draw_in_all_sweeps():
     """After enough sweeps the mean is the regression on the values of that very draw."""
     data, gamma, noise_std, value_std = transitions(batch=(64,)), 0.5, 2.0, 4.0

@@ -154,11 +154,10 @@ def test_where_one_breaks_the_others_learn_on_and_the_state_is_saved(tmp_path):
     assert torch.equal(weights(other)[1:], weights(broken)[1:])
 
 
-def test_a_fit_without_a_solution_names_what_to_change(tmp_path, monkeypatch):
-    trainer = make_trainer(tmp_path, rounds=1)
+def test_where_all_break_the_error_names_what_to_change(tmp_path):
+    trainer = make_trainer(tmp_path, rounds=2)
     trainer.remedy = "raise agent.noise_std"
-    broken = partial(torch.linalg.cholesky, -torch.eye(2))
-    monkeypatch.setattr(trainer.learner, "learn", lambda *_: broken())
+    trainer.callbacks = (lambda *_: weights(trainer)[:, 1, 1].fill_(torch.nan),)
     with pytest.raises(NonFiniteLossError, match=r"agent\.noise_std"):
         trainer.train()
 
