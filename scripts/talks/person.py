@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from bbq_torchrl.domains import Domain, Goal
-    from bbq_torchrl.people.dialogue.partner import Answer
+    from bbq_torchrl.people.dialogue.exchange import Answer
 
 PEOPLE: dict[str, Any] = yaml.safe_load(
     Path(__file__).with_name("people.yaml").read_text(encoding="utf-8")

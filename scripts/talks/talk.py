@@ -10,7 +10,8 @@ from bbq_torchrl.domains.values import RESERVED_TEXT
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from bbq_torchrl.people.dialogue.partner import Answer, Partner
+    from bbq_torchrl.people.dialogue.exchange import Answer
+    from bbq_torchrl.people.dialogue.partner import Partner
     from talks.person import Person, Said
 
 _MAX_TEXTS = 25

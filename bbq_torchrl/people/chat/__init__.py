@@ -6,7 +6,8 @@ a terminal, and :func:`~bbq_torchrl.people.study.players.make_talker` makes the 
 
 from __future__ import annotations
 
-from bbq_torchrl.people.dialogue.partner import Answer, Partner
+from bbq_torchrl.people.dialogue.exchange import Answer
+from bbq_torchrl.people.dialogue.partner import Partner
 from bbq_torchrl.people.dialogue.tracking import Tracking
 from bbq_torchrl.people.dialogue.trained_agent import TrainedAgent
 

@@ -105,7 +105,7 @@ def _parser() -> argparse.ArgumentParser:
         "--ask-below",
         type=between(float, 0, 1),
         metavar="P",
-        help="confidence below which it asks you again; 0: never",
+        help="confidence below which it says back what it heard; 0: never",
     )
     parser.add_argument(
         "--control",

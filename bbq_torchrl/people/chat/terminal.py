@@ -13,7 +13,8 @@ if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
 
     from bbq_torchrl.domains import Goal
-    from bbq_torchrl.people.dialogue.partner import Answer, Memory, Partner
+    from bbq_torchrl.people.dialogue.exchange import Answer, Memory
+    from bbq_torchrl.people.dialogue.partner import Partner
 
 COMMANDS = {
     "/acts": "what was understood, and what the agent thinks of its best actions",

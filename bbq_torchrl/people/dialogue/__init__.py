@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 RULES = {
-    "yes_ends": "A yes that says nothing else to an offer that stands ends the dialogue.",
+    "yes_ends": "A yes to an offer that stands, and only that, ends the dialogue.",
     "answers_first": "A question is answered before anything else.",
     "no_asking_back": "The agent does not ask for what is known, asked for, or does not matter.",
     "implied": "The agent does not ask for what another value determines, as a city its state.",
@@ -26,7 +26,7 @@ RULES = {
     "on_file": "A wish for what the fitting records do not say excludes nothing.",
     "way_out": "If no record has all wishes, or others are asked for, the nearest are offered.",
     "drop": "A wish that the person takes back is dropped, and the agent says so.",
-    "confirm": "A sentence understood badly is checked, and its content kept.",
+    "confirm": "What was understood with some doubt is said back; if badly, it is checked.",
     "book": '"Book it" makes the agent offer, and after an offer it is a yes.',
     "names": "A name that no record has is asked about.",
     "farewell": "Only words of farewell let a person end the conversation.",

@@ -20,12 +20,14 @@ _DATA = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="u
 
 def _pattern(text: str) -> re.Pattern[str]:
     """Returns a compiled pattern of the file, whose lines may break after a ``|``."""
-    text = text.replace("| ", "|").replace("<it>", _DATA["it"])
+    text = text.replace("| ", "|").replace("<it>", _DATA["it"]).replace("<yes>", _DATA["yes"])
     return re.compile(re.sub(r"(?<!P)<x>", r"(?P<x>[\\w' ]+?)", text))
 
 
 _ACCEPT = [_pattern(rf"(?<!\S)(?:{text})(?!\S)") for text in _DATA["accept"]]
 _BESIDE = frozenset(_DATA["beside"].split())
+_YES = _pattern(r"(?:<yes>) (?:(?:and|but|so|then) )*")
+_NO = _pattern(_DATA["no"])
 _QUESTION, _HESITATES = _pattern(_DATA["question"]), _pattern(_DATA["hesitates"])
 _BEFORE = [_pattern(rf"\b(?:{text})\b(?P<x>.*)") for text in _DATA["before"]]
 _AFTER = [_pattern(rf"(?P<x>.*?)(?: |(?='s))(?:{text})(?!\w)") for text in _DATA["after"]]
@@ -35,6 +37,7 @@ _RESTART, _OTHERS = _pattern(_DATA["restart"]), _pattern(_DATA["others"])
 _LATER, _EARLIER = _pattern(_DATA["later"]), _pattern(_DATA["earlier"])
 _ABOUT = {name: _pattern(_DATA[name]) for name in ("help", "bot", "nothing")}
 _CLAUSE = re.compile(r" ?[,.;!?:()] ?| (?:but|and then) ")
+_PIECE = re.compile(r"[^,.;!?]+[,.;!?]*")
 _AND = re.compile(rf"(?:{_CLAUSE.pattern})(?:and |also |plus )*| (?:and|also|plus|&) ")
 _WHERE = re.compile(r" (?:in|at|on|near) ")
 _LONGEST = 6  # words of a value
@@ -60,14 +63,48 @@ def accepts(text: str) -> bool:
     return is_yes and set(words.split()) <= _BESIDE
 
 
+def beside_yes(text: str) -> str | None:
+    """Returns what a text says beside a yes, which may be nothing; ``None`` without a yes.
+
+    Examples:
+        >>> beside_yes("yes I'll take that, 6 of us. what time?")
+        '6 of us . what time ?'
+        >>> beside_yes("One ticket. Yes please"), beside_yes("yes albany"), beside_yes("at 7")
+        ('one ticket .', 'albany', None)
+    """
+    if accepts(text):
+        return ""
+    words = _words(text)
+    if refuses(text):
+        return None
+    rest, is_yes = [], False
+    for piece in _PIECE.findall(words):
+        said = piece.strip()
+        if not said.strip(" ,.;!?"):
+            continue
+        if "?" not in said and accepts(said):
+            is_yes = True
+        elif begins := _YES.match(said):
+            is_yes = True
+            rest.append(said[begins.end() :])
+        else:
+            rest.append(said)
+    return " ".join(rest) if is_yes else None
+
+
+def refuses(text: str) -> bool:
+    """Returns whether a text says no, to whatever."""
+    return _NO.search(_words(text)) is not None
+
+
 def asks(text: str) -> bool:
     """Returns whether a text asks something."""
     return _QUESTION.search(_words(text)) is not None
 
 
 def hesitates(text: str) -> bool:
-    """Returns whether a text asks something, makes a condition, or wants time or something else."""
-    return asks(text) or _HESITATES.search(_words(text)) is not None
+    """Returns whether a text makes a condition, or wants time or something else."""
+    return _HESITATES.search(_words(text)) is not None
 
 
 def questions(text: str) -> list[str]:

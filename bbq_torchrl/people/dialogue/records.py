@@ -169,19 +169,16 @@ class Records:
             ranked = sorted((v for v in ranked if away[v] > 0), key=lambda v: float(away[v]))
         return ranked
 
-    def answers(self, held: Tensor, change: Mapping[int, int], asked: Sequence[int]) -> Tensor:
-        """Returns the values of slots asked for in the nearest record after a change, ``[S]``.
+    def row(self, held: Tensor, change: Mapping[int, int]) -> Tensor:
+        """Returns the values of the nearest record after a change, long ``[S]``.
 
         Args:
             held: long ``[S]``, value ids.
             change: slot to value id.
-            asked: the slots.
         """
-        changed, found = held.clone(), torch.zeros_like(held)
-        changed[[*change]] = torch.tensor([*change.values()])
-        place = int(_distances(*self.compare(changed)).argmin())
-        found[list(asked)] = self._values[place, list(asked)]
-        return found
+        changed = held.clone()
+        changed[[*change]] = torch.tensor([*change.values()], dtype=torch.long)
+        return self._values[int(_distances(*self.compare(changed)).argmin())].clone()
 
     def is_listed(self, slot: int) -> bool:
         """Returns whether records have values of a slot that constrains them."""

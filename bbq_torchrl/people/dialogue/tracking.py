@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import torch
@@ -222,16 +222,31 @@ class Acting:
         is_known = ((told == NONE) | (told == full(state))).all()
         return self._control.remember(heard.replace(offered=state["offered"] & is_known))
 
-    def reply(self, state: TensorDict | None, understood: Frame, seed: int) -> Acted:
+    def book(self, state: TensorDict | None, understood: Frame, seed: int) -> Acted:
+        """Returns the reply to a yes that adds values to an offer: with them, and the end."""
+        offer = self.reply(state, understood, seed, self._booking)
+        if not bool(offer.state["offered"]):
+            return offer
+        end = self.reply(offer.state, Frame("thanks"), seed)
+        return replace(end, understood=understood, parts=(*offer.parts, *end.parts))
+
+    def reply(
+        self,
+        state: TensorDict | None,
+        understood: Frame,
+        seed: int,
+        legal: torch.Tensor | None = None,
+    ) -> Acted:
         """Returns the acts that reply to a person's act.
 
         Args:
             state: the state before the person's act; ``None`` before the first.
             understood: the person's act.
             seed: the seed of the policy's random choices.
+            legal: bool ``[A]``, the actions allowed; ``None`` for the agent's.
         """
         agent, control = self._agent, self._control
-        legal = agent.legal
+        legal = agent.legal if legal is None else legal
         is_offered = state is not None and bool(state["offered"])
         is_ticket = understood == Frame("request", {}, (self._ticket,))
         if is_ticket and state is not None and "book" in control.rules:
@@ -292,4 +307,5 @@ class Acting:
         if self._booking[action]:
             is_available = after["agent_informs"][self._agent.domain.slots.index(self._complete)]
             return after.replace(offered=is_available == AVAILABLE)
-        return after
+        # A yes to a later question takes no offer.
+        return after.replace(offered=after["offered"] & ~after["agent_requests"].any())

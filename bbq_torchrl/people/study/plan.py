@@ -112,7 +112,7 @@ class Terms:
     ask_below: Mapping[str, float] = setting(
         {},
         _by_agent("numbers between 0 and 1", PROBABILITY.test),
-        "name to the confidence below which this agent asks again",
+        "name to the confidence below which this agent says back what it heard",
     )
     control: Mapping[str, Sequence[str]] = setting(
         {},

@@ -15,7 +15,8 @@ import torch
 from bbq_torchrl.domains import NO_MATCH, tensorize
 from bbq_torchrl.domains.frames import Coding, Frame
 from bbq_torchrl.domains.values import FIRST_VALUE
-from bbq_torchrl.people.dialogue.partner import Memory, Partner
+from bbq_torchrl.people.dialogue.exchange import Memory
+from bbq_torchrl.people.dialogue.partner import Partner
 from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.dialogue.trained_agent import TrainedAgent
 from bbq_torchrl.people.language import Generator, load_phrases

@@ -34,8 +34,13 @@ class Words(Acts):
             "goodbye": Understood(Frame("closing"), 0.9),
             "thanks, bye": Understood(Frame("thanks"), 0.9),
             "wonka in reno?": Understood(
-                Frame("request", {"moviename": "wonka", "city": "reno"}, ("theater",)), 0.5
+                Frame("request", {"moviename": "wonka", "city": "reno"}, ("theater",)), 0.2
             ),
+            "wonka in albany, for two?": Understood(
+                Frame("request", {"moviename": "wonka", "city": "albany"}, ("theater",)), 0.5
+            ),
+            "just the three of us": Understood(Frame("inform", {"numberofpeople": "3"}), 0.9),
+            "the cheap seats": Understood(Frame("inform"), 0.1),
         }
         if text == "where?":
             asked = question.requests if question else ("theater",)
@@ -168,6 +173,47 @@ def test_a_sentence_in_doubt_is_checked_and_keeps_what_was_understood(talk, repl
     assert "wonka" in check.text.lower()
     assert "right?" in check.text
     assert answer.understood == Frame("request", informs, ("theater",))
+
+
+@pytest.mark.parametrize(
+    ("reply", "people"), [("yes, just the three of us", "3"), ("YES. Wonka.", None)]
+)
+def test_a_yes_to_a_check_may_say_more_and_is_not_checked_again(talk, reply, people):
+    _, answer = talk(("wonka in reno?",), (reply, "request(date)"))
+    assert answer.memory.asking.is_check is False
+    assert {"moviename": "wonka", "city": "reno"}.items() <= answer.understood.informs.items()
+    assert answer.understood.informs.get("numberofpeople") == people
+
+
+def test_what_was_heard_with_some_doubt_is_said_back_and_acted_on(talk):
+    (answer,) = talk(("wonka in albany, for two?", "request(date)", "request(date)"))
+    assert answer.acted
+    assert "theater" in answer.understood.requests
+    said = answer.text.lower()
+    assert "wonka" in said
+    assert "albany" in said
+    assert "right?" not in said
+
+
+def test_a_yes_may_add_to_an_offer_what_it_does_not_say(talk):
+    *_, end = talk(OFFER, ("yes please, just the three of us", "inform(taskcomplete)", "thanks"))
+    assert (end.ended, end.answered.act) == ("agent", "thanks")
+    assert end.answered.informs["numberofpeople"] == "3"
+    assert end.answered.informs["taskcomplete"] == "ticket available"
+
+
+@pytest.mark.parametrize(
+    "text", ["yes, the cheap seats", "yes, just the three of us?", "ok, inform(city=reno)"]
+)
+def test_a_yes_that_says_something_else_books_nothing(talk, text):
+    *_, answer = talk(OFFER, (text, "inform(taskcomplete)", "thanks"))
+    assert answer.ended == ""
+
+
+def test_a_yes_to_a_question_after_an_offer_books_nothing(talk):
+    denied = ("deny", "request(date)", "request(date)")
+    *_, answer = talk(OFFER, denied, ("yes", "request(genre)", "thanks"))
+    assert answer.ended == ""
 
 
 def test_a_no_to_what_was_in_doubt_asks_for_other_words(talk):

@@ -54,6 +54,31 @@ def test_most_replies_to_no_match_are_helped(partner):
     assert sum(helped) / len(helped) >= 0.7
 
 
+def test_a_proposal_is_taken_by_a_yes_with_more_or_by_its_name(partner):
+    before = opened(partner, "two tickets for barbie on christmas eve at 5 pm")
+    proposal = before.memory.proposal
+    assert proposal.keys() >= {"city", "theater"}
+    for case in TEXTS["takes"]:
+        answer = said(partner, before, case["text"].format(**proposal))
+        assert answer.understood.informs.items() >= proposal.items(), case
+        assert not answer.memory.proposal, case
+        assert case.get("asks", "theater") in {*answer.answered.informs, *proposal}, case
+    for text in TEXTS["keeps"]:
+        answer = said(partner, before, text.format(**proposal))
+        assert not proposal.items() <= answer.understood.informs.items(), text
+
+
+def test_the_same_is_not_proposed_three_times(partner):
+    before = opened(partner, "two tickets for barbie on christmas eve at 5 pm")
+    again = said(partner, before, "christmas eve at 5 pm")
+    assert again.memory.proposal == before.memory.proposal
+    assert len(again.text) > 0
+    assert again.text != before.text
+    third = said(partner, again, "christmas eve at 5 pm")
+    assert not third.memory.proposal
+    assert third.text.endswith("?")
+
+
 def test_an_offer_stands_after_anything_but_a_whole_yes(partner, offer):
     for text in TEXTS["not_ends"]:
         assert not said(partner, offer, text).ended, text

@@ -6,7 +6,7 @@ import pytest
 from acts import Acts
 
 from bbq_torchrl.people.chat import Partner
-from bbq_torchrl.people.dialogue.partner import Memory
+from bbq_torchrl.people.dialogue.exchange import Memory
 from bbq_torchrl.people.language import Frame
 
 

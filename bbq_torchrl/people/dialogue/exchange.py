@@ -1,0 +1,84 @@
+"""What passes between a person and an agent: the agent's memory, and its answer to a text."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from typing import TYPE_CHECKING
+
+import torch
+from tensordict import TensorDict
+
+from bbq_torchrl.people.language import Frame, Understood
+from bbq_torchrl.people.language.asking import Asking
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+
+@dataclass(frozen=True)
+class Memory:
+    """Everything that an agent remembers between two texts.
+
+    Attributes:
+        state: the state of the tracker; ``None`` before the first act understood.
+        asking: the clarification questions since the agent last acted.
+        proposal: the values of a record that the agent proposes, by slot.
+        times: the number of times in a row that it has made this proposal.
+        refused: the values proposed and refused since the person last told something.
+        denied: the number of offers that the person has refused.
+        texts: the number of texts so far.
+    """
+
+    state: TensorDict | None = None
+    asking: Asking = field(default_factory=Asking)
+    proposal: Mapping[str, str] = field(default_factory=dict)
+    times: int = 0
+    refused: tuple[Mapping[str, str], ...] = ()
+    denied: int = 0
+    texts: int = 0
+
+    def to_json(self) -> str:
+        """Returns the memory as JSON."""
+        state = None
+        if self.state is not None:
+            state = {key: value.tolist() for key, value in self.state.items()}
+        return json.dumps(vars(self) | {"state": state, "asking": asdict(self.asking)})
+
+    @classmethod
+    def from_json(cls, text: str) -> Memory:
+        """Returns the memory that :meth:`to_json` wrote."""
+        content = json.loads(text)
+        state, asking = content["state"], content["asking"]
+        if state is not None:
+            state = TensorDict({key: torch.tensor(value) for key, value in state.items()}, [])
+        if (waiting := asking["waiting"]) is not None:
+            waiting = Frame(waiting["act"], waiting["informs"], tuple(waiting["requests"]))
+        known = {**asking, "waiting": waiting, "choices": tuple(asking["choices"])}
+        refused = tuple(content["refused"])
+        return cls(**{**content, "state": state, "asking": Asking(**known), "refused": refused})
+
+
+@dataclass(frozen=True)
+class Answer:
+    """An agent's answer to a text.
+
+    Attributes:
+        text: the agent's text.
+        reading: the nlu's result for the person's text; ``None`` if it could not be read.
+        understood: the act that the agent acted on, merged with the texts it had asked about.
+        answered: the agent's act, with its values filled in.
+        memory: the agent's memory for the next text.
+        acted: whether the agent took an action; otherwise it asked again, or greeted.
+        ended: the cause of the end: ``"agent"``, ``"person"`` or ``"turns"``; else ``""``.
+        control: the rules that kept the agent from its preferred act.
+    """
+
+    text: str
+    reading: Understood | None
+    understood: Frame
+    answered: Frame
+    memory: Memory
+    acted: bool = False
+    ended: str = ""
+    control: tuple[str, ...] = ()

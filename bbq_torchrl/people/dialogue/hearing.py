@@ -1,0 +1,126 @@
+"""What a person means by a text: the nlu's reading of it, mended by rules of the conversation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.domains.frames import ANY
+from bbq_torchrl.people.dialogue import moves
+from bbq_torchrl.people.language import Frame, Understood
+from bbq_torchrl.people.language.words import has_bye, is_farewell
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Mapping
+
+    from bbq_torchrl.people.dialogue.spelling import Spelling
+    from bbq_torchrl.people.language import Nlu
+
+
+class Hearing:
+    """Reads texts, with their values in the one spelling.
+
+    Args:
+        nlu: the nlu.
+        spelling: the spelling of values.
+        rules: the rules of the dialogue control.
+    """
+
+    def __init__(self, nlu: Nlu, spelling: Spelling, rules: Collection[str]) -> None:
+        self._nlu, self._spelling, self._rules = nlu, spelling, rules
+        self._domain = spelling.domain
+
+    def is_bare(self, frame: Frame, *acts: str) -> bool:
+        """Returns whether a frame of one of some acts has no values, and asks for no slot."""
+        is_empty = not frame.informs and {*frame.requests} <= {self._domain.ticket_slot}
+        return is_empty and (not acts or frame.act in acts)
+
+    def __call__(self, text: str, question: Frame | None) -> Understood:
+        """Returns the meaning of a text, with its values in the one spelling."""
+        reading = self._nlu(text, question)
+        rules = self._rules
+        if "aside" in rules and question is not None:
+            reading = self._aside(text, question.requests[:1], reading)
+        if "answers_first" in rules:
+            reading = self._all_questions(text, reading)
+        asked = question.requests if question is not None and not question.choices else ()
+        if "drop" in rules and asked and moves.is_nothing(text):
+            free = Frame("inform", {asked[0]: ANY})
+            reading = replace(reading, frame=free, confidence=1.0, unclear=())
+        values = reading.frame.informs
+        if "names" not in rules:
+            frame = replace(reading.frame, informs=self._spelling.of(values))
+            return replace(reading, frame=frame)
+        informed = question.informs if question is not None else {}
+        informs, unclear = self._spelling.understood(text, values, informed)
+        frame, unclear = replace(reading.frame, informs=informs), (*reading.unclear, *unclear)
+        if "answers_first" in rules and {*frame.requests} - {self._domain.ticket_slot}:
+            spoken_of = {action.slot for action in self._domain.actions}
+            unclear = tuple(one for one in unclear if one.slot in spoken_of)  # others can wait
+        return replace(reading, frame=frame, unclear=unclear)
+
+    def leaving(self, reading: Understood, text: str, is_offered: bool) -> Understood:
+        """Returns a reading that ends the conversation only at words of farewell."""
+        if "farewell" in self._rules:
+            if reading.frame.act == "thanks" and has_bye(text) and not is_offered:
+                return replace(reading, frame=Frame("closing"))
+            if reading.frame.act == "closing" and not is_farewell(text):
+                return replace(reading, frame=Frame("not_sure"), confidence=0.0)
+        return reading
+
+    def dropped(
+        self, reading: Understood, text: str, question: Frame | None, held: Mapping[str, str]
+    ) -> tuple[Understood, tuple[str, ...]]:
+        """Returns a reading in which wishes are taken back, and their slots if that is news.
+
+        Args:
+            reading: the meaning of the text.
+            text: the text.
+            question: the agent's act that it answers.
+            held: the values told before.
+        """
+        told = reading.frame.informs
+        slots = tuple(
+            slot
+            for slot in moves.taken_back(text, held, self._spelling.lexicon)
+            if told.get(slot, ANY) in (ANY, held.get(slot))
+        )
+        if not slots:
+            is_free = bool(told) and set(told.values()) == {ANY}
+            if is_free and "?" in text and not reading.frame.requests:  # "Any discounts?"
+                return replace(reading, frame=Frame("not_sure"), confidence=0.0), ()
+            return reading, ()
+        informs = {slot: value for slot, value in told.items() if value != ANY}
+        requests = tuple(slot for slot in reading.frame.requests if slot not in slots)
+        informs |= dict.fromkeys(slots, ANY)
+        frame = replace(reading.frame, informs=informs, requests=requests)
+        if frame.act not in ("inform", "request"):
+            frame = replace(frame, act="request" if frame.requests else "inform")
+        unclear = tuple(one for one in reading.unclear if one.slot not in slots)
+        asked = question.requests if question is not None else ()
+        news = tuple(slot for slot in slots if slot in held or slot not in asked)
+        return replace(reading, frame=frame, confidence=1.0, unclear=unclear), news
+
+    def _all_questions(self, text: str, reading: Understood) -> Understood:
+        """Returns a reading with the questions of each clause, which are read by themselves."""
+        asked = dict.fromkeys(reading.frame.requests)
+        for clause in moves.questions(text):
+            named = set(self._spelling.named(clause, self._domain.slots))  # "when" names two
+            if named and named.isdisjoint(asked):
+                alone = self._nlu(clause, None).frame.requests
+                asked |= dict.fromkeys(slot for slot in alone if slot in named)
+        if len(asked) == len(reading.frame.requests):
+            return reading
+        frame = Frame("request", reading.frame.informs, tuple(asked))
+        return replace(reading, frame=frame)
+
+    def _aside(self, text: str, asked: tuple[str, ...], reading: Understood) -> Understood:
+        """Returns the meaning of a text that may ask for something instead of answering."""
+        alone = self._nlu(text, None)
+        named = self._spelling.named(text, alone.frame.requests, asked)
+        is_echo = not set(asked) <= set(named) and set(asked) <= set(reading.frame.requests)
+        is_better = alone.confidence > reading.confidence
+        if not named or not (is_better or (asked and is_echo)):
+            return reading
+        frame = Frame("request", reading.frame.informs, named)
+        return replace(reading, frame=frame, confidence=alone.confidence)

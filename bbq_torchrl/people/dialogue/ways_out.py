@@ -1,0 +1,188 @@
+"""Proposals where no record has all wishes, or where a person asks for others."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from bbq_torchrl.domains.values import FIRST_VALUE
+from bbq_torchrl.people.dialogue import moves
+from bbq_torchrl.people.dialogue.exchange import Answer
+from bbq_torchrl.people.dialogue.tracking import full
+from bbq_torchrl.people.language import Frame
+from bbq_torchrl.people.language.asking import Asking
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping, Sequence
+
+    from torch import Tensor
+
+    from bbq_torchrl.people.dialogue.exchange import Memory
+    from bbq_torchrl.people.dialogue.records import Records
+    from bbq_torchrl.people.dialogue.spelling import Spelling
+    from bbq_torchrl.people.dialogue.tracking import Tracking
+    from bbq_torchrl.people.language import EndpointGenerator, Generator, Understood
+
+_MAX_CHOICES, _MAX_NAMED = 5, 4
+_MAX_PROPOSALS = 2
+"""The number of refused proposals, or of times that one is made, before the agent asks what may
+change."""
+
+
+class WaysOut:
+    """Proposes records near to the wishes.
+
+    A proposal names what differs from the wishes and where and when the record is: its values of
+    the domain's essential slots. Who takes it wishes all of that.
+
+    Args:
+        spelling: the spelling of values.
+        tracking: the agent's knowledge.
+        records: the domain's records.
+        nlg: the nlg.
+        open_slots: the slots that may change if the person has no wishes.
+    """
+
+    def __init__(
+        self,
+        spelling: Spelling,
+        tracking: Tracking,
+        records: Records,
+        nlg: Generator | EndpointGenerator,
+        open_slots: Sequence[str],
+    ) -> None:
+        self._lexicon, self._slots = spelling.lexicon, spelling.domain.slots
+        self._tracking, self._records, self._nlg = tracking, records, nlg
+        self._open_slots = open_slots
+        essential = [slot in spelling.domain.essential for slot in self._slots]
+        self._place = torch.tensor(essential)
+
+    def others(
+        self,
+        now: Memory,
+        reading: Understood,
+        text: str,
+        question: Frame | None,
+        words: dict[str, Any],
+    ) -> Answer | None:
+        """Returns the alternatives that a text asks for; ``None`` if it is about something else.
+
+        Args:
+            now: the memory, with the state after the person's act.
+            reading: the meaning of the text.
+            text: the person's text.
+            question: the agent's act that it answers.
+            words: what determines the words.
+        """
+        assert now.state is not None
+        slots, way = moves.named_slots(text, self._lexicon), moves.direction(text)
+        if not slots and way:
+            slots = [slot for slot in self._lexicon.slots if self._lexicon.kinds[slot] == "time"]
+        if not slots and question is not None and question.requests and not now.proposal:
+            slots = [question.requests[0]]
+        numbers = [self._slots.index(slot) for slot in slots]
+        number = next((one for one in numbers if self._records.is_listed(one)), None)
+        held = full(now.state)
+        if number is None:
+            is_stuck = bool(self._records.best(held)[2])
+            if not (now.proposal or is_stuck or bool(now.state["offered"])):
+                return None
+            return self.alternative(now, reading, words)
+        found = self._records.choices(held, number, way)
+        if len(found) < 2:
+            refused = self.refused(now)
+            change = {number: found[0]} if found else {}
+            nearest = self._records.nearest
+            change = change or nearest(held, refused, slot=number, direction=way)
+            change = change or nearest(held, refused, asked=[number])
+            return self.propose(now, reading, change, words)
+        slot = self._slots[number]
+        values = [self._values({number: value})[slot] for value in found[:_MAX_CHOICES]]
+        sentence = self._nlg.say("several", [slot], choices=values, **words)
+        asking = Asking(slot=slot, choices=tuple(values))
+        answered = Frame("multiple_choice", {}, (slot,), asking.choices)
+        now = replace(now, asking=asking, proposal={})
+        return Answer(sentence, reading, reading.frame, answered, now)
+
+    def alternative(
+        self,
+        now: Memory,
+        reading: Understood,
+        words: dict[str, Any],
+        requests: Sequence[str] = (),
+        *,
+        is_refused: bool = True,
+    ) -> Answer:
+        """Returns the nearest proposal, or after too many refused ones what may change.
+
+        Args:
+            now: the memory, with the state after the person's act.
+            reading: the meaning of the text.
+            words: what determines the words.
+            requests: the slots asked for; the proposal tells their values.
+            is_refused: whether the proposal that stands is refused.
+        """
+        assert now.state is not None
+        if now.proposal and is_refused:
+            now = replace(now, refused=(*now.refused, now.proposal), proposal={})
+        asked = [self._slots.index(slot) for slot in requests]
+        change = self._records.nearest(full(now.state), self.refused(now), asked=asked)
+        if is_refused and len(now.refused) >= _MAX_PROPOSALS:
+            change = {}
+        return self.propose(now, reading, change, words, asked)
+
+    def refused(self, now: Memory) -> list[list[tuple[int, int]]]:
+        """Returns the refused proposals as pairs of slot and value id."""
+        return [
+            [(slot, value) for slot, value in enumerate(self._tracking.ids(one)) if value]
+            for one in now.refused
+        ]
+
+    def propose(
+        self,
+        now: Memory,
+        reading: Understood,
+        change: Mapping[int, int],
+        words: dict[str, Any],
+        asked: Sequence[int] = (),
+    ) -> Answer:
+        """Returns the proposal of a record, or the question what may change.
+
+        The second time in a row it names the whole record, and then asks what may change.
+
+        Args:
+            now: the memory, with the state after the person's act.
+            reading: the meaning of the text.
+            change: the value id proposed for each slot that changes; may be empty.
+            words: what determines the words.
+            asked: the slots asked for; the proposal tells their values.
+        """
+        assert now.state is not None
+        held, records = full(now.state), self._records
+        now = replace(now, asking=Asking())
+        row = records.row(held, change)
+        ids = torch.where(self._place & (row != held), row, 0)
+        ids[[*change, *asked]] = row[[*change, *asked]]
+        proposal = self._tracking.values(ids)
+        times = now.times + 1 if proposal == now.proposal else 1
+        if not change or times > _MAX_PROPOSALS:
+            told = records.freeing(held) or (held >= FIRST_VALUE).nonzero().flatten().tolist()
+            names = [self._slots[slot] for slot in told][:_MAX_NAMED] or self._open_slots
+            sentence = self._nlg.say("nothing", names, **words)
+            now = replace(now, proposal={}, times=0)
+            return Answer(sentence, reading, reading.frame, Frame("not_sure"), now)
+        conflict = {slot: int(held[slot]) for slot in records.conflict(held)}
+        use, named = "way_out" if conflict else "another", proposal
+        if times > 1:
+            use, named = "whole", self._tracking.values(torch.where(self._place, row, ids))
+        sentence = self._nlg.say(use, values=self._values(conflict), other=named, **words)
+        now = replace(now, proposal=proposal, times=times)
+        return Answer(sentence, reading, reading.frame, Frame("not_sure", proposal), now)
+
+    def _values(self, ids: Mapping[int, int]) -> dict[str, str]:
+        """Returns the values of ids by slot."""
+        found: Tensor = torch.zeros(len(self._slots), dtype=torch.long)
+        found[[*ids]] = torch.tensor([*ids.values()], dtype=torch.long)
+        return self._tracking.values(found)
