@@ -26,7 +26,7 @@ def _pattern(text: str) -> re.Pattern[str]:
 
 _ACCEPT = [_pattern(rf"(?<!\S)(?:{text})(?!\S)") for text in _DATA["accept"]]
 _BESIDE = frozenset(_DATA["beside"].split())
-_YES = _pattern(r"(?:<yes>) (?:(?:and|but|so|then) )*")
+_YES = _pattern(r"(?:<yes>)(?![\w']) ?(?:(?:and|but|so|then) )*")
 _NO = _pattern(_DATA["no"])
 _QUESTION, _HESITATES = _pattern(_DATA["question"]), _pattern(_DATA["hesitates"])
 _BEFORE = [_pattern(rf"\b(?:{text})\b(?P<x>.*)") for text in _DATA["before"]]
@@ -66,6 +66,8 @@ def accepts(text: str) -> bool:
 def beside_yes(text: str) -> str | None:
     """Returns what a text says beside a yes, which may be nothing; ``None`` without a yes.
 
+    In a text that says more, only a word such as "yes" or "ok" that begins a clause is a yes.
+
     Examples:
         >>> beside_yes("yes I'll take that, 6 of us. what time?")
         '6 of us . what time ?'
@@ -82,13 +84,10 @@ def beside_yes(text: str) -> str | None:
         said = piece.strip()
         if not said.strip(" ,.;!?"):
             continue
-        if "?" not in said and accepts(said):
-            is_yes = True
-        elif begins := _YES.match(said):
-            is_yes = True
-            rest.append(said[begins.end() :])
-        else:
-            rest.append(said)
+        begins = _YES.match(f"{said} ")
+        is_yes = is_yes or begins is not None  # "Two tickets, please" is none
+        if "?" in said or not accepts(said):
+            rest.append(said[begins.end() :] if begins else said)
     return " ".join(rest) if is_yes else None
 
 

@@ -40,6 +40,9 @@ class Words(Acts):
                 Frame("request", {"moviename": "wonka", "city": "albany"}, ("theater",)), 0.5
             ),
             "just the three of us": Understood(Frame("inform", {"numberofpeople": "3"}), 0.9),
+            "just the three of us, please": Understood(
+                Frame("inform", {"numberofpeople": "3"}), 0.9
+            ),
             "the cheap seats": Understood(Frame("inform"), 0.1),
         }
         if text == "where?":
@@ -203,7 +206,13 @@ def test_a_yes_may_add_to_an_offer_what_it_does_not_say(talk):
 
 
 @pytest.mark.parametrize(
-    "text", ["yes, the cheap seats", "yes, just the three of us?", "ok, inform(city=reno)"]
+    "text",
+    [
+        "just the three of us, please",
+        "yes, the cheap seats",
+        "yes, just the three of us?",
+        "ok, inform(city=reno)",
+    ],
 )
 def test_a_yes_that_says_something_else_books_nothing(talk, text):
     *_, answer = talk(OFFER, (text, "inform(taskcomplete)", "thanks"))

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from bbq_torchrl.people.dialogue.moves import accepts, is_restart, taken_back
+from bbq_torchrl.people.dialogue.moves import accepts, beside_yes, is_restart, taken_back
 
 TEXTS = yaml.safe_load(Path(__file__).with_name("moves.yaml").read_text(encoding="utf-8"))
 HELD = {
@@ -37,3 +37,13 @@ def test_other_texts_take_nothing_back(lexicon):
 def test_an_offer_is_accepted_by_a_text_that_says_nothing_else():
     assert not [text for text in TEXTS["accepted"] if not accepts(text)]
     assert not [text for text in TEXTS["not_accepted"] if accepts(text)]
+
+
+@pytest.mark.parametrize("text", TEXTS["no_yes"])
+def test_politeness_beside_a_wish_is_no_yes(text):
+    assert beside_yes(text) is None
+
+
+@pytest.mark.parametrize("text", TEXTS["yes_and_more"])
+def test_a_yes_and_what_is_said_beside_it(text):
+    assert beside_yes(text) == TEXTS["yes_and_more"][text]
