@@ -5,8 +5,9 @@
     python examples/cartpole_bbqn.py --agent dqn      # the same loop with DQN, epsilon-greedy
     python examples/cartpole_bbqn.py --frames 500     # only to see it run
 
-BBQN has the prior of ``agent=bbqn``, "bbqn_paper_start" the paper's initial posterior. The
-returns of five seeds are in results/cartpole.csv and on docs/parts.md.
+BBQN has the prior of ``agent=bbqn``, "bbqn_paper_start" the paper's initial posterior;
+"bbqn_episode" keeps a draw of the weights for an episode. The returns of five seeds are in
+results/cartpole.csv and on docs/parts.md.
 """
 
 from __future__ import annotations
@@ -29,7 +30,7 @@ from bbq_torchrl.exploration import EvaluationPolicy, Greedy, ThompsonSampling
 from bbq_torchrl.networks import FlatMLP, q_actor
 from bbq_torchrl.objectives import BBQNLoss, DropoutDQNLoss
 
-Agent = Literal["bbqn", "bbqn_paper_start", "dqn"]
+Agent = Literal["bbqn", "bbqn_episode", "bbqn_paper_start", "dqn"]
 
 GAMMA, CAPACITY, BATCH_SIZE = 0.9, 10_000, 128
 FRAMES_PER_BATCH, UPDATES_PER_BATCH = 100, 20
@@ -53,9 +54,10 @@ def make_agent(agent: Agent, env: GymEnv, frames: int) -> tuple[Any, Any, Any]:
     """Returns the Q-value actor, the policy that explores, and the loss.
 
     Args:
-        agent: "bbqn" explores by Thompson sampling, one weight draw a step, and so does
-            "bbqn_paper_start", whose posterior starts at the prior; "dqn", the same network
-            without uncertainty, explores by ε from 1 to .05 in a quarter of the frames.
+        agent: "bbqn" explores by Thompson sampling, one weight draw a step; "bbqn_episode", by
+            one an episode; "bbqn_paper_start", a draw a step, has a posterior that starts at the
+            prior; "dqn", the same network without uncertainty, explores by ε from 1 to .05 in a
+            quarter of the frames.
         env: whose actions there are.
         frames: to learn from.
     """
@@ -71,7 +73,8 @@ def make_agent(agent: Agent, env: GymEnv, frames: int) -> tuple[Any, Any, Any]:
         settings = {"kl_temperature": 1.0}
     actor = q_actor(network, spec, action_mask_key=None)
     loss = BBQNLoss(actor, num_data=CAPACITY, gamma=GAMMA, **settings)
-    return actor, ThompsonSampling(actor), loss
+    explore = ThompsonSampling(actor, per="episode" if agent == "bbqn_episode" else "step")
+    return actor, explore, loss
 
 
 def train(agent: Agent, frames: int, seed: int, *, every: int = 3000) -> float:

@@ -40,7 +40,12 @@ def _adversary() -> str:
 @block("parts.cartpole")
 def _cartpole() -> str:
     """Returns the return of each seed in the loop of docs/parts.md, a line for each agent."""
-    names = {"bbqn": "BBQN", "bbqn_paper_start": "BBQN, the paper's start", "dqn": "DQN"}
+    names = {
+        "bbqn": "BBQN",
+        "bbqn_episode": "BBQN, a draw an episode",
+        "bbqn_paper_start": "BBQN, the paper's start",
+        "dqn": "DQN",
+    }
     found = read_csv("cartpole.csv")
     cells = {(names[row["agent"]], f"seed {row['seed']}"): row["return"] for row in found}
     command = "python examples/cartpole_bbqn.py --agent bbqn --seed 0 --file results/cartpole.csv"
