@@ -7,6 +7,7 @@ shows (what is imported, say) needs a real one.
 
 from __future__ import annotations
 
+import importlib
 import logging
 import os
 import runpy
@@ -14,9 +15,11 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 import traceback
 import warnings
-from functools import partial
+from contextlib import suppress
+from functools import cache, partial
 from pathlib import Path
 from typing import IO, TYPE_CHECKING
 
@@ -59,12 +62,23 @@ def start(
     main: Callable[[], object], arguments: tuple[str, ...], cwd: Path, out: IO, err: IO
 ) -> int:
     """Begins to call ``main``. Returns the child's process id."""
+    _import_what_commands_import()
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # Python 3.12 warns where there are threads
         child = os.fork()
     if child == 0:
         _run(main, arguments, cwd, out, err)
     return child
+
+
+@cache
+def _import_what_commands_import() -> None:
+    """Imports, once and not in every child, what commands import as they go."""
+    of_torchrl = ("bbq_torchrl.exploration", "bbq_torchrl.objectives", "bbq_torchrl.runs.final")
+    # tensordict looks for pandas.
+    for name in (*of_torchrl, "matplotlib.backends.backend_agg", "pandas", "scipy.optimize"):
+        with suppress(ImportError):
+            importlib.import_module(name)
 
 
 def environment() -> dict[str, str]:
@@ -81,10 +95,32 @@ def python(*arguments: object, cwd: Path, code: int = 0) -> tuple[str, str]:
         env=environment(),
         capture_output=True,
         text=True,
-        timeout=1_800,
+        timeout=SECONDS,
     )
     assert done.returncode == code, done.stdout + done.stderr
     return done.stdout, done.stderr
+
+
+def process(*arguments: str, cwd: Path) -> subprocess.Popen:
+    """Starts ``train.py`` in a process of its own, with a process group of its own."""
+    return subprocess.Popen(
+        [sys.executable, str(ROOT / "train.py"), *arguments],
+        cwd=cwd,
+        env=environment(),
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+def wait_until(started: subprocess.Popen, is_so: Callable[[], object]) -> None:
+    """Waits for a condition, which must become true before the process ends."""
+    end = time.monotonic() + SECONDS
+    while not is_so():
+        assert started.poll() is None, started.communicate()
+        assert time.monotonic() < end
+        time.sleep(0.005)
 
 
 def _run(

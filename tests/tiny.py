@@ -2,15 +2,21 @@
 
 from __future__ import annotations
 
+import copy
 import csv
 from contextlib import contextmanager
+from functools import cache
 from typing import TYPE_CHECKING
 
 import pytest
 
+from bbq_torchrl.runs.compose import compose
+
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Collection, Iterable, Iterator
     from pathlib import Path
+
+    from bbq_torchrl.options import Config
 
 TINY = (
     "protocol.rounds=2",
@@ -23,11 +29,20 @@ TINY = (
     "protocol.checkpoint_every=1",
     "protocol.keep_checkpoints=last",
     "spike.dialogues=4",
-    "spike.policy=rule",  # chosen: in so few turns it never succeeds
+    "spike.policy=careful",  # chosen: in so few turns it never succeeds
     "agent.hidden=[8,8]",
     "env.max_turn=8",
+    "domain=hotel",  # small: to make an environment of the movies takes as long as all else
 )
 """A key given again after these replaces theirs."""
+
+
+_composed = cache(lambda overrides: compose(overrides))
+
+
+def composed(*overrides: str) -> Config:
+    """The configuration of a command line, which Hydra composes once in a process."""
+    return copy.deepcopy(_composed(overrides))
 
 
 @contextmanager
@@ -36,6 +51,11 @@ def without_drawing() -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr("bbq_torchrl.runs.final.draw_run", lambda file, *_, **__: file.touch())
         yield
+
+
+def nightly(names: Iterable[str], daily: Collection[str]) -> list:
+    """Parameters of which all but the daily ones are slow."""
+    return [one if one in daily else pytest.param(one, marks=pytest.mark.slow) for one in names]
 
 
 def rows(file: Path) -> list[dict[str, str]]:

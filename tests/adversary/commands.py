@@ -108,12 +108,7 @@ class Commands:
     def __init__(self, folder: Path) -> None:
         self.folder = folder
         self._count = 0
-        for name in (
-            *PROGRAMS.values(),
-            "bbq_torchrl.runs.train",
-            "matplotlib.figure",
-            "scipy.optimize",
-        ):
+        for name in PROGRAMS.values():
             importlib.import_module(name)  # once, not in every child
 
     def start(self, program: str, *arguments: str) -> Command:

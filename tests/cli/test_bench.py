@@ -1,6 +1,5 @@
 """``bbq bench``: cells in order, the page and its data, what is missing, and equal bytes."""
 
-import csv
 import json
 import math
 import os
@@ -11,7 +10,7 @@ import forked
 import numpy as np
 import pytest
 import torch
-from tiny import TINY
+from tiny import TINY, rows, without_drawing
 
 from bbq_torchrl.cli import bench
 from bbq_torchrl.cli.evaluate import composed, evaluation
@@ -20,7 +19,11 @@ from bbq_torchrl.utils.statistics import binomial_standard_error, pass_k
 
 OWN = "own: agent=dqn explore=boltzmann"
 KEYS = [
-    *(key for key in TINY if not key.startswith(("protocol.rounds", "protocol.eval_every="))),
+    *(
+        key
+        for key in TINY
+        if not key.startswith(("protocol.rounds", "protocol.eval_every=", "domain"))
+    ),
     "protocol.keep_checkpoints=weights",
     "protocol.eval_batch=200",
 ]
@@ -41,6 +44,15 @@ def content(folder):
     return {file: (folder / "made" / file).read_bytes() for file in ("bench.csv", "bench.json")}
 
 
+@pytest.fixture(scope="module", autouse=True)
+def quick():
+    """A goal is played no more often than pass^8 needs, and figures are empty files."""
+    with without_drawing(), pytest.MonkeyPatch.context() as patch:
+        patch.setattr(bench, "PLAYS", 8)
+        patch.setattr("bbq_torchrl.utils.reports.save", lambda figure, file: file.touch())
+        yield
+
+
 @pytest.fixture(scope="module")
 def made(tmp_path_factory):
     folder = tmp_path_factory.mktemp("bench")
@@ -59,20 +71,18 @@ def test_the_page_has_a_row_for_each_agent(made):
 
 def test_a_row_says_what_the_run_folder_says(made):
     folder, _ = made
-    with (folder / "made" / "bench.csv").open() as file:
-        rows = list(csv.DictReader(file))
-    assert [(row["agent"], row["replica"]) for row in rows] == [
+    table = rows(folder / "made" / "bench.csv")
+    assert [(row["agent"], row["replica"]) for row in table] == [
         *(("dqn", "0"), ("dqn", "1"), ("own", "0"), ("own", "1"))
     ]
     cell = folder / "made" / "hotel" / "errors_0.1" / "own"
     result = json.loads((cell / "result.json").read_text())["per_replica"][1]
-    with (cell / "metrics.csv").open() as file:
-        rounds = [line for line in csv.DictReader(file) if line["replica"] == "1"]
-    assert float(rows[3]["success_after_12"]) == result["success_rate"]
-    assert float(rows[3]["reward"]) == result["reward"]
-    assert float(rows[3]["success_after_4"]) == float(rounds[0]["eval_success_rate"])
+    rounds = [line for line in rows(cell / "metrics.csv") if line["replica"] == "1"]
+    assert float(table[3]["success_after_12"]) == result["success_rate"]
+    assert float(table[3]["reward"]) == result["reward"]
+    assert float(table[3]["success_after_4"]) == float(rounds[0]["eval_success_rate"])
     booked = np.mean([float(line["success_rate"]) for line in rounds])
-    assert float(rows[3]["booked_after_12"]) == pytest.approx(booked)
+    assert float(table[3]["booked_after_12"]) == pytest.approx(booked)
 
 
 def test_every_cell_has_a_command_a_commit_and_versions(made):
@@ -128,8 +138,7 @@ def test_a_seed_that_diverges_is_named_and_the_others_count(tmp_path):
     page, _ = run(tmp_path, "half: agent=dqn agent.lr=[.001,1e30]", code=1)
     assert "**Missing:** half on hotel, errors 0.1, replica 1 (diverged)." in page
     assert "No setting is finished by all agents." in page
-    with (tmp_path / "made" / "bench.csv").open() as file:
-        assert [row["replica"] for row in csv.DictReader(file)] == ["0"]
+    assert [row["replica"] for row in rows(tmp_path / "made" / "bench.csv")] == ["0"]
 
 
 def test_a_page_alone_trains_nothing(tmp_path):

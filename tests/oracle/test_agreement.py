@@ -86,21 +86,21 @@ BOOKS = {"offer: thanks, available"}
 
 
 def test_the_simulator_agrees_with_the_oracle_on_our_movies(movie):
-    assert_at_work(RULES, play(movie, 240, seed=0))
+    assert_at_work(RULES, play(movie, 160, seed=0))
 
 
 def test_the_simulator_agrees_with_the_oracle_on_the_public_corpus(miulab, tcbot):
-    assert_at_work(BOOKS, play(miulab, 80, seed=100, settings=FEW))
+    assert_at_work(BOOKS, play(miulab, 60, seed=100, settings=FEW))
     first = load_miulab(tcbot, goals="user_goals_first_turn_template.part.movie.v1.p")
     assert_at_work(BOOKS, play(first, 40, seed=200, settings=FEW))
 
 
 def test_the_simulator_agrees_with_the_oracle_on_restaurants(restaurant):
-    assert_at_work(BOOKS, play(restaurant, 80, seed=300))
+    assert_at_work(BOOKS, play(restaurant, 40, seed=300))
 
 
 def test_the_simulator_agrees_with_the_oracle_where_goals_and_errors_are_odd():
-    assert_at_work(RARE_RULES, play(many_wishes(), 200, seed=400))
+    assert_at_work(RARE_RULES, play(many_wishes(), 120, seed=400))
 
 
 def test_the_simulator_agrees_with_the_oracle_where_several_slots_open_a_dialogue_or_none(
@@ -113,11 +113,11 @@ def test_the_simulator_agrees_with_the_oracle_where_several_slots_open_a_dialogu
 
 
 def test_the_simulator_agrees_with_the_oracle_on_users_that_differ(movie, restaurant):
-    played = play(movie, 160, seed=800, settings=USERS)
+    played = play(movie, 120, seed=800, settings=USERS)
     assert_at_work(PERSON_RULES, played)
-    assert_at_work(BOOKS, play(many_wishes(), 100, seed=900, settings=USERS))
+    assert_at_work(BOOKS, play(many_wishes(), 60, seed=900, settings=USERS))
     few = [replace(setting, users=MIXES["mixed"]) for setting in FEW]
-    assert_at_work(BOOKS, play(restaurant, 80, seed=950, settings=few))
+    assert_at_work(BOOKS, play(restaurant, 40, seed=950, settings=few))
 
 
 @pytest.mark.cuda

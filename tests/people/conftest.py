@@ -17,6 +17,7 @@ from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import run
 
 SHRUNKEN = (*TINY, "protocol.rounds=1", "protocol.eval_every=0", "spike.policy=random")
+SHRUNKEN += ("domain=movie",)
 
 
 def trained(folder, *more):
@@ -86,7 +87,7 @@ def spelling(movie):
     return Spelling(movie)
 
 
-@pytest.fixture
+@pytest.fixture(scope="session")
 def partner(agents, mouth, spelling):
     return Partner(agents["bbqn"], Acts(), mouth, spelling, rules=())
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pytest
+from acts import Acts
 
 from bbq_torchrl.domains.frames import ANY
 from bbq_torchrl.people.chat import Partner
@@ -13,11 +14,8 @@ from scripts.talks.person import PEOPLE, Person, suits
 from scripts.talks.talk import Talk
 
 
-class Ears:
-    """An understander of what a person means, less what ``change`` takes away."""
-
-    def __init__(self, change=lambda frame: frame):
-        self.person, self.change = None, change
+class Ears(Acts):
+    """An understander of what ``person`` means, less what ``change`` takes away."""
 
     def __call__(self, text, question=None):
         said = self.person.last
@@ -35,21 +33,18 @@ class Ears:
         act = "request" if requests else "inform"
         return Understood(self.change(Frame(act, said.informs, requests)), 0.9)
 
-    def asks(self, understood):
-        return understood.confidence < 0.7 or bool(understood.unclear)
-
 
 @pytest.fixture(scope="module")
 def talks(agents, mouth, spelling):
     """Plays conversations of a kind, with goals that can be met, and yields them."""
-    judge = Judge(spelling.domain)
+    judge, ears = Judge(spelling.domain), Ears()
+    partner = Partner(agents["bbqn"], ears, mouth, spelling)
     goals = [goal for goal in spelling.domain.goals if judge.is_attainable(goal)]
 
-    def talks(kind, ears, count=3):
-        partner = Partner(agents["bbqn"], ears, mouth, spelling)
+    def talks(kind, change=lambda frame: frame, count=3):
         fit = [goal for goal in goals if suits(kind, goal)]
         for seed, goal in enumerate(fit[:: len(fit) // count]):
-            ears.person = Person(kind, goal, spelling.domain, seed, {})
+            ears.person, ears.change = Person(kind, goal, spelling.domain, seed, {}), change
             talk = Talk(partner, ears.person)
             talk.play(seed)
             yield talk
@@ -61,7 +56,7 @@ def talks(agents, mouth, spelling):
 def test_who_is_understood_rightly_is_served_rightly_even_by_an_agent_that_learned_nothing(
     talks, kind
 ):
-    for talk in talks(kind, Ears()):
+    for talk in talks(kind):
         count = talk.counts
         assert not count["dropped"] + count["wrong"] + count["turned_round"], talk.lines
         assert count["reported"] == count["unknown"]
@@ -77,7 +72,10 @@ def test_who_is_understood_rightly_is_served_rightly_even_by_an_agent_that_learn
 
 
 def test_values_and_questions_that_are_not_heard_are_counted(talks):
-    deaf = Ears(lambda frame: Frame("greeting", {}, ("price",) if frame.requests else ()))
+
+    def deaf(frame):
+        return Frame("greeting", {}, ("price",) if frame.requests else ())
+
     for talk in talks("terse", deaf):
         lost = [set(said.informs) - set(answer.answered.requests) for said, answer in talk.said]
         assert 0 < talk.counts["dropped"] <= sum(map(len, lost))

@@ -5,9 +5,8 @@ from pathlib import Path
 
 import forked
 import pytest
-from tiny import without_drawing
+from tiny import composed, without_drawing
 
-from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import main, run
 
 from .trusted import DQN, SMALL
@@ -18,7 +17,7 @@ def kept(tmp_path_factory):
     """A finished run with everything that resuming needs."""
     folder = tmp_path_factory.mktemp("kept") / "run"
     with without_drawing():
-        run(compose([*DQN, "protocol.keep_checkpoints=last"]), folder)
+        run(composed(*DQN, "protocol.keep_checkpoints=last"), folder)
     return folder
 
 
@@ -27,7 +26,7 @@ def finished(tmp_path_factory):
     """A finished run as it is by default: its weights are left."""
     folder = tmp_path_factory.mktemp("finished") / "run"
     with without_drawing():
-        run(compose(DQN), folder)
+        run(composed(*DQN), folder)
     return folder
 
 

@@ -10,9 +10,8 @@ import sys
 import pytest
 import torch
 from forked import environment
-from tiny import rows, without_drawing
+from tiny import composed, rows, without_drawing
 
-from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.folders import is_finished, load_config
 from bbq_torchrl.runs.train import run
 from bbq_torchrl.settings import ConfigError
@@ -32,7 +31,7 @@ class Killed(BaseException):
 def uninterrupted(tmp_path_factory):
     """The configuration of a run of six rounds, and its metrics."""
     folder = tmp_path_factory.mktemp("uninterrupted") / "run"
-    longer = compose([*DQN, "protocol.keep_checkpoints=last", "protocol.rounds=6"])
+    longer = composed(*DQN, "protocol.keep_checkpoints=last", "protocol.rounds=6")
     with without_drawing():
         run(longer, folder)
     return longer, rows(folder / "metrics.csv")
@@ -86,7 +85,7 @@ def test_a_run_whose_folder_is_moved_ends_at_once_and_goes_on_in_its_new_place(
 
 
 def test_a_folder_that_is_moved_while_a_checkpoint_is_saved_is_named(tmp_path):
-    config = compose([*DQN, "protocol.rounds=2"])
+    config = composed(*DQN, "protocol.rounds=2")
 
     def fail(*args, **kwargs):
         (tmp_path / "old").rename(tmp_path / "new")
@@ -103,7 +102,7 @@ def test_a_folder_that_is_moved_while_a_checkpoint_is_saved_is_named(tmp_path):
 @pytest.mark.parametrize("make", [lambda: torch.empty(2**55), lambda: bytes(2**60)])
 def test_memory_that_runs_out_names_the_keys_to_lower(tmp_path, make):
     with pytest.raises(TrainingError, match=r"protocol\.capacity"):
-        run(compose([*DQN, "protocol.rounds=1"]), tmp_path / "run", [lambda *_: make()])
+        run(composed(*DQN, "protocol.rounds=1"), tmp_path / "run", [lambda *_: make()])
 
 
 def test_metrics_that_are_removed_while_a_run_trains_are_written_again(finished, tmp_path):
@@ -112,7 +111,7 @@ def test_metrics_that_are_removed_while_a_run_trains_are_written_again(finished,
         if trainer.rounds_done == 2:
             trainer.metrics.path.unlink()
 
-    run(compose(DQN), tmp_path / "run", [remove])
+    run(composed(*DQN), tmp_path / "run", [remove])
 
     assert rows(tmp_path / "run" / "metrics.csv") == rows(finished / "metrics.csv")
 
@@ -151,7 +150,7 @@ def test_a_signal_lets_the_round_end_and_saves_it(tmp_path, listening, kept):
         os.kill(os.getpid(), signal.SIGTERM)
 
     with pytest.raises(interruption.Interrupted):
-        run(compose([*DQN, "protocol.keep_checkpoints=last"]), folder, [signaled])
+        run(composed(*DQN, "protocol.keep_checkpoints=last"), folder, [signaled])
 
     assert interruption.exit_code() == 128 + signal.SIGTERM
     assert interruption.line() == "interrupted after 1 of 3 rounds, 1 saved: so it continues"
@@ -174,7 +173,7 @@ def test_who_handles_a_signal_already_goes_on_handling_it():
 
 
 def test_every_checkpoint_is_kept_on_request(tmp_path):
-    run(compose([*DQN, "protocol.keep_checkpoints=all", "protocol.checkpoint_every=1"]), tmp_path)
+    run(composed(*DQN, "protocol.keep_checkpoints=all", "protocol.checkpoint_every=1"), tmp_path)
     assert len(list((tmp_path / "checkpoint").glob("round-*"))) == 4
 
 

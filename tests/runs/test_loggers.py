@@ -10,13 +10,12 @@ from dataclasses import dataclass, field
 import forked
 import pytest
 from own_options import own_options
-from tiny import TINY, rows
+from tiny import TINY, composed, rows
 from torchrl.record.loggers import Logger
 
 from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.options import LoggerOption, register
 from bbq_torchrl.options.logger import MLFlow
-from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import run
 from bbq_torchrl.settings import ConfigError, option
 from bbq_torchrl.trainers import TrainingError
@@ -63,6 +62,8 @@ class Recorder(Logger):
 
 
 RECORDED = {}
+
+pytestmark = pytest.mark.usefixtures("without_curves")
 
 
 @dataclass
@@ -128,7 +129,7 @@ def test_two_runs_of_a_process_are_two_of_the_logger(name, read, tmp_path):
         register(Own)
         for seed in (0, 1):
             folder = tmp_path / f"seed{seed}"
-            run(compose([*RUN, f"logger={name}", f"seed={seed}"]), folder)
+            run(composed(*RUN, f"logger={name}", f"seed={seed}"), folder)
             check(folder, read(folder), seed)
 
 
@@ -144,7 +145,7 @@ def test_what_closes_a_logger_is_told_whether_the_run_has_finished(tmp_path, mon
     with own_options():
         register(Own)
         monkeypatch.setattr(Own, "close", close)
-        config = compose([*RUN, "logger=own"])
+        config = composed(*RUN, "logger=own")
         with pytest.raises(TrainingError):
             run(config, tmp_path / "failed", [fail])
         run(config, tmp_path / "finished")
@@ -161,7 +162,7 @@ def test_a_logger_that_fails_is_given_up_with_one_warning(fails, tmp_path, monke
     with own_options():
         register(Own)
         monkeypatch.setattr(Recorder, fails, fail)
-        run(compose([*RUN, "logger=own"]), tmp_path / "run")
+        run(composed(*RUN, "logger=own"), tmp_path / "run")
     assert len(rows(tmp_path / "run" / "metrics.csv")) == 4
     assert read_result(tmp_path / "run").rounds == 2
     (warning,) = [line for line in caplog.messages if "logger=own" in line]
@@ -172,7 +173,7 @@ def test_a_logger_that_cannot_begin_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(Recorder, "_create_experiment", fail)
     with own_options():
         register(Own)
-        config = compose([*RUN, "logger=own"])
+        config = composed(*RUN, "logger=own")
         with pytest.raises(ConfigError, match="logger=own"):
             run(config, tmp_path / "run")
 
@@ -180,10 +181,6 @@ def test_a_logger_that_cannot_begin_is_refused(tmp_path, monkeypatch):
 def needs(package):
     if importlib.util.find_spec(package) is None:
         pytest.skip(f"needs the extra {package}: pip install -e '.[{package}]'")
-
-
-def removed(place):
-    shutil.rmtree(place) if place.is_dir() else place.unlink()
 
 
 @pytest.mark.parametrize(
@@ -197,11 +194,12 @@ def removed(place):
 def test_a_run_ends_without_what_its_logger_wrote(name, file, tmp_path, monkeypatch, caplog):
     needs(name)
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
-    config = compose([*RUN, f"logger={name}", "protocol.rounds=4"])
+    config = composed(*RUN, f"logger={name}", "protocol.rounds=4")
 
     def remove(trainer, rows):
         if trainer.rounds_done == 1:
-            removed(tmp_path / "run" / file)
+            place = tmp_path / "run" / file
+            shutil.rmtree(place) if place.is_dir() else place.unlink()
 
     run(config, tmp_path / "run", [remove])
     assert read_result(tmp_path / "run").rounds == 4

@@ -10,10 +10,10 @@ import forked
 import pytest
 import torch
 from planted import plant, rewritten
+from tiny import composed
 
 import train
 from bbq_torchrl.cli import evaluate
-from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.folders import is_finished, load_config, run_config, run_lock
 from bbq_torchrl.runs.train import run
 from bbq_torchrl.settings import ConfigError
@@ -111,7 +111,7 @@ def test_a_run_whose_last_step_spoils_the_weights_reports_no_result(tmp_path):
             next(trainer.policy.parameters()).data.flatten()[0] = math.nan
 
     with pytest.raises(NonFiniteWeightsError, match="NaN or infinite"):
-        run(compose(DQN), tmp_path / "run", [spoil])
+        run(composed(*DQN), tmp_path / "run", [spoil])
     assert not (tmp_path / "run" / "result.json").exists()
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from types import SimpleNamespace
 
 import pytest
+from acts import Acts
 
 pytest.importorskip("pycrfsuite", reason="needs the extra language")
 
@@ -27,7 +28,7 @@ class Speaker:
         return f"{session} {turn - self.first} {frame}"
 
 
-class Ears:
+class Ears(Acts):
     """An understander sure of some texts and not of others, and of two readings of one value."""
 
     def __init__(self):
@@ -45,9 +46,6 @@ class Ears:
             unclear = Unclear(slot, value[:3], (value, f"{value} 2"))
             return Understood(Frame(frame.act, rest, frame.requests), 0.9, (unclear,))
         return Understood(frame, (0.8, 0.9, 0.5, 0.9)[kind])
-
-    def asks(self, understood):
-        return understood.confidence < 0.7 or bool(understood.unclear)
 
 
 @pytest.mark.parametrize("below", [None, 0, 0.85])

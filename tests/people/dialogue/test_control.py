@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from functools import cache
 
 import pytest
 import torch
@@ -51,12 +52,18 @@ class Words(Acts):
         return known[text] if text in known else super().__call__(text, question)
 
 
+@pytest.fixture(scope="module")
+def partner_with(agents, mouth, spelling):
+    """Makes the partner with these rules, once."""
+    return cache(lambda rules: Partner(agents["bbqn"], Words(), mouth, spelling, rules=rules))
+
+
 @pytest.fixture
-def talk(agents, mouth, spelling, monkeypatch):
+def talk(partner_with, monkeypatch):
     """Talks with an agent that takes the first allowed of the actions it prefers in each turn."""
 
     def talk(*turns, rules=None):
-        partner = Partner(agents["bbqn"], Words(), mouth, spelling, rules=rules)
+        partner = partner_with(rules)
         answers, memory = [], None
         for number, (text, *preferred) in enumerate(turns):
             wishes = [partner.agent.domain.action_index(name) for name in preferred]
@@ -113,9 +120,9 @@ def test_questions_are_answered_before_anything_else_in_the_same_reply(talk, bef
         assert answer.answered.informs[slot].lower() in answer.text.lower()
 
 
-def test_answers_and_wishes_are_those_of_one_record(agents, mouth, spelling, monkeypatch):
+def test_answers_and_wishes_are_those_of_one_record(partner_with, spelling, monkeypatch):
     """Whatever else the agent does, and whenever the person asks and tells."""
-    partner = Partner(agents["bbqn"], Acts(), mouth, spelling)
+    partner = partner_with(None)
     chance, judge = random.Random(3), Judge(spelling.domain)
     goals = [goal for goal in spelling.domain.goals if judge.is_attainable(goal)]
 

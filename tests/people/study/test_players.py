@@ -80,7 +80,7 @@ def test_agents_that_cannot_talk_are_named_together(study, restaurant):
         assert f"agent {name} " in fault
 
 
-@pytest.fixture
+@pytest.fixture(scope="module")
 def simulator(movie):
     return Simulator(tensorize(movie))
 
