@@ -124,6 +124,7 @@ print([lexicon.link("moviename", f"the first {name[:-1]}") for name in names])
 """
 
 
+@pytest.mark.slow
 def test_two_processes_find_the_same_names(lexicon, tmp_path, monkeypatch):
     names = lexicon.values("moviename")[:25]
     linked = [lexicon.link("moviename", f"the first {name[:-1]}") for name in names]
