@@ -15,6 +15,7 @@ import forked
 import pytest
 import yaml
 from prepared import prepared
+from tiny import nightly
 
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import run
@@ -112,13 +113,10 @@ LINES = {
     "a missing launcher": ("--multirun hydra/launcher=slrm seed=1,2", 1, "slrm"),
     "a resumed sweep": ("--multirun hydra/launcher=basic resume=run seed=1", 1, "resume"),
 }
-NIGHTLY = ("a missing launcher", "a resumed sweep", "a folder of options", "a job of a sweep")
+DAILY = ("an option", "a value", "a YAML file", "a flag", "a damaged checkpoint")
 
 
-@pytest.mark.parametrize(
-    "fault",
-    [pytest.param(fault, marks=pytest.mark.slow if fault in NIGHTLY else ()) for fault in LINES],
-)
+@pytest.mark.parametrize("fault", nightly(LINES, DAILY))
 def test_a_command_line_is_refused_without_a_traceback(fault, place):
     folder = place(
         "mkdir -p mine/agent; echo 'a: [' > mine/agent/broken.yaml;"
