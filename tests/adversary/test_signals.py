@@ -3,14 +3,12 @@
 import os
 import re
 import signal
-import subprocess
-import sys
 import time
 from functools import partial
 from pathlib import Path
 
 import pytest
-from forked import ROOT, environment
+from forked import process, wait_until
 
 from bbq_torchrl.runs.folders import run_lock
 
@@ -83,27 +81,6 @@ def test_an_evaluation_and_a_search_end_in_a_line_too(commands, rng):
         assert ended.err.splitlines()[-1].startswith("interrupted after ")
         assert ended.err.splitlines()[-1].endswith(": the same command continues the search")
     commands.run("search", *command)
-
-
-def process(*arguments, cwd):
-    """A command as a person starts it, in a separate process group."""
-    return subprocess.Popen(
-        [sys.executable, str(ROOT / "train.py"), *arguments],
-        cwd=cwd,
-        env=environment(),
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-
-
-def wait_until(started, is_so):
-    end = time.monotonic() + 1_800
-    while not is_so():
-        assert started.poll() is None, started.communicate()
-        assert time.monotonic() < end
-        time.sleep(0.005)
 
 
 @pytest.mark.parametrize("number", NUMBERS)

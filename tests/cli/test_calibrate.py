@@ -69,8 +69,3 @@ def test_a_rate_below_what_errors_can_do_is_refused(calibrated, restaurant_folde
     code, out, err = calibrated("success=0.0", "dialogues=200", folder=folder)
     assert (code, out) == (2, "")
     assert "slot_error_prob=1, rule succeeds in no less" in err.splitlines()[-1]
-
-
-def test_help_says_what_there_is(capsys):
-    assert calibrate.main(["--help"]) == 0
-    assert "usage: bbq domains calibrate" in capsys.readouterr().out

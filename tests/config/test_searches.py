@@ -2,6 +2,7 @@
 
 import pytest
 import yaml
+from tiny import nightly
 
 from bbq_torchrl.options.registry import conf_folder, options
 from bbq_torchrl.search.definition import compose_search
@@ -13,13 +14,7 @@ VARIED = {
 }
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=() if name == "dqn_boltzmann" else pytest.mark.slow)
-        for name in options("search")
-    ],
-)
+@pytest.mark.parametrize("name", nightly(options("search"), ["dqn_boltzmann"]))
 def test_our_search_can_be_run_at_every_bound_and_varies_what_its_agent_has(name):
     found = compose_search([f"search={name}"])
     assert found.folder.name == f"search_{name}"

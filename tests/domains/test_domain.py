@@ -166,10 +166,6 @@ def test_all_faults_are_refused_at_once_by_an_error_that_survives_pickling(resta
     assert (str(other), other.found) == (str(error), error.found)
 
 
-def test_a_domain_survives_pickling(restaurant):
-    assert pickle.loads(pickle.dumps(restaurant)) == restaurant
-
-
 def test_a_user_may_not_care(restaurant):
     goal = Goal({"area": "i do NOT care"})
     assert replace(restaurant, goals=(goal,)).goals == (goal,)

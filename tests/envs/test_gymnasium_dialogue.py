@@ -22,6 +22,11 @@ from gymnasium.utils.env_checker import check_env  # noqa: E402
 from bbq_torchrl.envs.gymnasium import ENV_ID  # noqa: E402
 
 
+@pytest.fixture
+def env(restaurant):
+    return gymnasium.make(ENV_ID, domain=restaurant).unwrapped
+
+
 def goals_of(env, seed=None, count=8):
     """Returns the goals of the environment's next dialogues, the first of them seeded."""
     return [env.reset(seed=seed if n == 0 else None)[1]["goal_id"] for n in range(count)]
@@ -114,8 +119,7 @@ def test_a_goal_can_be_chosen_and_all_else_stays(restaurant, make):
     ],
     ids=str,
 )
-def test_other_options_are_refused(restaurant, options, message):
-    env = gymnasium.make(ENV_ID, domain=restaurant).unwrapped
+def test_other_options_are_refused(env, options, message):
     with pytest.raises(ValueError, match=message):
         env.reset(options=options)
     with pytest.raises(ResetNeeded):
@@ -155,8 +159,7 @@ def test_the_mask_in_the_observation_is_that_in_info(restaurant):
     )
 
 
-def test_is_success_is_told_at_the_end_alone(restaurant):
-    env = gymnasium.make(ENV_ID, domain=restaurant).unwrapped
+def test_is_success_is_told_at_the_end_alone(env, restaurant):
     assert "is_success" not in env.reset(seed=0)[1]
     assert "is_success" not in env.step(2)[-1]
     assert not env.step(restaurant.action_index("thanks"))[-1]["is_success"]
@@ -184,15 +187,13 @@ def test_the_id_with_its_module_needs_no_import(tmp_path):
 
 
 @pytest.mark.parametrize("action", [-1, 22, 1.5, "thanks", np.array([1, 2])])
-def test_what_is_no_action_is_refused(restaurant, action):
-    env = gymnasium.make(ENV_ID, domain=restaurant).unwrapped
+def test_what_is_no_action_is_refused(env, action):
     env.reset(seed=0)
     with pytest.raises(ValueError, match="action"):
         env.step(action)
 
 
-def test_a_turn_after_the_end_and_a_seed_that_is_too_large_are_refused(restaurant):
-    env = gymnasium.make(ENV_ID, domain=restaurant).unwrapped
+def test_a_turn_after_the_end_and_a_seed_that_is_too_large_are_refused(env, restaurant):
     for prepare in (
         lambda: None,
         lambda: (env.reset(), env.step(restaurant.action_index("thanks"))),

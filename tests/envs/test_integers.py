@@ -72,6 +72,14 @@ def test_an_action_of_any_integer_dtype_is_played(restaurant, dtype):
     assert (told[0] == told[1]).all()
 
 
+@pytest.fixture
+def begun(restaurant):
+    """Three dialogues."""
+    env = DialogueEnv(restaurant, batch_size=(3,), seed=0)
+    env.reset()
+    return env
+
+
 ONE_HOT = torch.eye(22)[:3]
 
 
@@ -86,21 +94,17 @@ ONE_HOT = torch.eye(22)[:3]
     ],
     ids=["one-hot", "bool one-hot", "float", "bool", "column"],
 )
-def test_an_action_that_is_no_index_is_refused(restaurant, action, got):
-    env = DialogueEnv(restaurant, batch_size=(3,), seed=0)
-    env.reset()
+def test_an_action_that_is_no_index_is_refused(begun, action, got):
     with pytest.raises(ValueError, match=rf"action .*{got}"):
-        env.step(TensorDict(action=action, batch_size=[3]))
+        begun.step(TensorDict(action=action, batch_size=[3]))
 
 
 @pytest.mark.parametrize("action", [-1, 22])
-def test_an_index_of_no_action_is_refused(restaurant, action):
-    env = DialogueEnv(restaurant, batch_size=(3,), seed=0)
-    env.reset()
-    state = env.dialogues.clone()
+def test_an_index_of_no_action_is_refused(begun, action):
+    state = begun.dialogues.clone()
     with pytest.raises(IndexError):
-        env.step(TensorDict(action=torch.tensor([0, action, 1]), batch_size=[3]))
-    assert (env.dialogues == state).all()
+        begun.step(TensorDict(action=torch.tensor([0, action, 1]), batch_size=[3]))
+    assert (begun.dialogues == state).all()
 
 
 def test_a_script_takes_any_integers_and_refuses_others():

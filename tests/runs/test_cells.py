@@ -49,14 +49,9 @@ NAMED = ("agent", "explore", "env", "intrinsic", "agent.target", "agent.features
 pytestmark = pytest.mark.usefixtures("without_curves")
 
 
-@pytest.fixture
-def composed(restaurant_folder):
-    def compose_shrunken(*choices):
-        extension = EXTENSION if "env=domain_ext" in choices else ()
-        domain = ("domain=folder", f"domain.path={restaurant_folder}")
-        return compose([*SHRUNKEN, *extension, *domain, *choices])
-
-    return compose_shrunken
+def composed(*choices):
+    extension = EXTENSION if "env=domain_ext" in choices else ()
+    return compose([*SHRUNKEN, *extension, *choices])
 
 
 def trained(config, folder):
@@ -80,7 +75,7 @@ def daily_or_nightly():
 
 
 @pytest.mark.parametrize("cell", list(daily_or_nightly()))
-def test_a_cell_trains_at_once_or_resumed_bitwise_the_same_and_evaluates(cell, composed, tmp_path):
+def test_a_cell_trains_at_once_or_resumed_bitwise_the_same_and_evaluates(cell, tmp_path):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     config = composed(*CELLS[cell])
     result, at_once = trained(config, whole)
@@ -99,7 +94,7 @@ def test_a_cell_trains_at_once_or_resumed_bitwise_the_same_and_evaluates(cell, c
     assert 0 <= line["success_rate"] <= 1
 
 
-def test_an_intrinsic_reward_is_learned_from_and_never_reported(composed, tmp_path):
+def test_an_intrinsic_reward_is_learned_from_and_never_reported(tmp_path):
     """Before anything is learned the two play alike, so whatever differs would be the bonus."""
     rounds = {}
     for name, eta in (("none", ()), ("vime", ("intrinsic.eta=1000",))):
@@ -113,7 +108,7 @@ def test_an_intrinsic_reward_is_learned_from_and_never_reported(composed, tmp_pa
     assert (rounds["vime"]["td_error"] > 10 * rounds["none"]["td_error"]).all()
 
 
-def test_the_dynamics_of_what_does_not_exist_yet_stay_at_the_prior(composed, tmp_path):
+def test_the_dynamics_of_what_does_not_exist_yet_stay_at_the_prior(tmp_path):
     vime = ("agent=dqn", "intrinsic=vime", "intrinsic.prior_std=0.2")
     trainer, _ = build_trainer(composed(*vime, "env=domain_ext", "protocol.rounds=1"), tmp_path)
     env, network = trainer.env, trainer.learner.loss.dynamics_loss.dynamics.network

@@ -1,14 +1,15 @@
-"""Saved configurations: loading them, and resuming runs with them."""
+"""The folder of a run and its saved configuration: loading it, and resuming with it."""
 
 import dataclasses
+import json
 
 import pytest
 import yaml
-from prepared import resumed
+from prepared import prepared, resumed
 
-from bbq_torchrl.cli.evaluate import composed
+from bbq_torchrl.cli.evaluate import composed, main
 from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.runs.folders import load_config, save_config
+from bbq_torchrl.runs.folders import load_config, restarted_config, save_config
 from bbq_torchrl.settings import ConfigError
 
 
@@ -87,3 +88,56 @@ def test_the_domain_of_a_resumed_or_evaluated_run_may_have_been_moved(tmp_path):
     assert config.domain.path == "/moved"
     chosen = composed([f"policy={tmp_path}", "env=full"])
     assert (chosen.env.name, chosen.domain.name) == ("full", "folder")
+
+
+@pytest.fixture(autouse=True)
+def _in_an_empty_folder(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def test_runs_of_one_second_get_separate_folders(tmp_path):
+    for _ in range(3):
+        prepared("agent=dqn")
+    assert len(list(tmp_path.glob("runs/*/*"))) == 3
+
+
+def test_a_resumed_run_goes_on_in_its_folder_with_hydras_record_as_it_was(tmp_path):
+    folder = tmp_path / "it's a run"
+    folder.mkdir()
+    save_config(compose(["agent=dqn"]), folder / "config.yaml")
+    quoted = str(folder).replace("'", "\\'")  # for Hydra's grammar
+    config, hydra = prepared(f"resume='{quoted}'")
+    assert (config.agent.name, config.resume) == ("dqn", str(folder))
+    assert (hydra.run.dir, hydra.output_subdir) == (str(folder), None)
+
+
+def test_a_folder_with_a_run_is_not_used_again(tmp_path):
+    save_config(compose(["agent=dqn"]), tmp_path / "config.yaml")
+    with pytest.raises(ConfigError, match=f"resume={tmp_path}"):
+        prepared(f"hydra.run.dir={tmp_path}")
+
+
+def test_a_job_that_a_launcher_starts_again_goes_on_in_its_folder(tmp_path):
+    config = compose(["agent=bbqn", "agent.prior_std=.07", "agent.lr=1e-3"])
+    assert restarted_config(config, tmp_path).resume is None
+    save_config(config, tmp_path / "config.yaml")
+    assert restarted_config(config, tmp_path).resume == str(tmp_path)
+    with pytest.raises(ConfigError, match="already holds another run"):
+        restarted_config(compose(["agent=bbqn", "seed=1"]), tmp_path)
+
+
+MIX = [{"share": 0.25, "tells": [1, 2], "insists": 1}, {"share": 0.75, "changes_mind": 0.5}]
+TEXT = "[{share: .25, tells: [1, 2], insists: 1}, {share: .75, changes_mind: .5}]"
+
+
+def test_a_mix_of_the_command_line_is_that_of_the_saved_configuration(tmp_path):
+    for text, value in ((TEXT, MIX), ("{tells: [1, 1]}", {"tells": [1, 1]}), ("people", "people")):
+        config = compose([f"env.users={text}"])
+        assert config.env.users == value
+        save_config(config, tmp_path / "config.yaml")
+        assert load_config(tmp_path / "config.yaml") == config
+
+
+def test_an_evaluation_plays_with_the_users_that_it_names(capsys):
+    main(["policy=careful", "dialogues=60", "batch=60", "env.users={patience: [3, 3]}"])
+    assert json.loads(capsys.readouterr().out)["success_rate"] == 0

@@ -7,6 +7,7 @@ import pytest
 import torch
 import yaml
 from planted import rewritten
+from tiny import nightly
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl import load_run
@@ -20,13 +21,7 @@ def evaluated(*given):
     return evaluate.evaluation(evaluate.composed(given))
 
 
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=() if name == "bbqn_map" else pytest.mark.slow)
-        for name in shipped.shipped_agents()
-    ],
-)
+@pytest.mark.parametrize("name", nightly(shipped.shipped_agents(), ["bbqn_map"]))
 def test_a_shipped_agent_does_what_its_result_says(name):
     line = evaluated(f"policy=shipped:{name}", "dialogues=500", "batch=500")
     result = read_result(shipped.SHIPPED / name)

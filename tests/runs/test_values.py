@@ -3,7 +3,7 @@
 import json
 
 import pytest
-from tiny import TINY, rows
+from tiny import TINY, nightly, rows
 from torch.testing import assert_close
 
 from bbq_torchrl.cli import evaluate
@@ -55,14 +55,10 @@ CASES = {
 }
 
 
-@pytest.fixture
-def composed(restaurant_folder):
-    def compose_with(choices, values):
-        given = [f"{key}={value}" for key, value in values.items()]
-        domain = ["domain=folder", f"domain.path={restaurant_folder}"]
-        return compose([*choices.split(), *SHRUNKEN, *given, *domain])
-
-    return compose_with
+def composed(choices, values):
+    return compose(
+        [*choices.split(), *SHRUNKEN, *(f"{key}={value}" for key, value in values.items())]
+    )
 
 
 def trained(config, folder):
@@ -77,11 +73,8 @@ def trained(config, folder):
 DAILY = ("BBQN-MC", "DQN", "VIME-MC, Boltzmann")
 
 
-@pytest.mark.parametrize(
-    "case",
-    [pytest.param(case, marks=() if case in DAILY else pytest.mark.slow) for case in CASES],
-)
-def test_a_replica_trains_bitwise_as_where_all_have_its_value(case, composed, tmp_path):
+@pytest.mark.parametrize("case", nightly(CASES, DAILY))
+def test_a_replica_trains_bitwise_as_where_all_have_its_value(case, tmp_path):
     choices, values = CASES[case]
     choices += " replicas=2"
     weights, together = trained(composed(choices, values), tmp_path / "both")
@@ -95,10 +88,8 @@ def test_a_replica_trains_bitwise_as_where_all_have_its_value(case, composed, tm
         ]
 
 
-@pytest.mark.parametrize(
-    "agent", ["bbqn", "bootstrap", pytest.param("dqn", marks=pytest.mark.slow)]
-)
-def test_a_replica_that_diverges_leaves_the_others_alone(agent, composed, tmp_path):
+@pytest.mark.parametrize("agent", nightly(["bbqn", "bootstrap", "dqn"], ["bbqn", "bootstrap"]))
+def test_a_replica_that_diverges_leaves_the_others_alone(agent, tmp_path):
     configs = [
         composed(f"agent={agent} replicas=2 protocol.rounds=3", {"agent.lr": [1e-3, other]})
         for other in (1e30, 1e-3)
@@ -122,7 +113,7 @@ def test_a_replica_that_diverges_leaves_the_others_alone(agent, composed, tmp_pa
 
 
 @pytest.fixture
-def finished(composed, tmp_path):
+def finished(tmp_path):
     """A run of four replicas, two of each value of one key and one of each of another."""
     folder = tmp_path / "run"
     values = {"agent.prior_std": "[.05,.2]", "agent.lr": "[.001,.002,.001,.002]"}

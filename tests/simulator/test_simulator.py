@@ -82,10 +82,6 @@ def test_the_largest_number_never_reaches_the_count():
     assert index_below(largest, 0) == 0
 
 
-def test_a_dialogue_has_as_many_turns_as_acts_for_both_and_one_too_many(restaurant):
-    assert Simulator(tensorize(restaurant), max_turn=10).max_agent_turns == 6
-
-
 @pytest.mark.parametrize(
     ("make", "message"),
     [

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from tiny import TINY
+from tiny import TINY, nightly
 
 from bbq_torchrl.options import Task
 from bbq_torchrl.runs.compose import compose
@@ -39,28 +39,14 @@ AGENTS = {
 }
 
 
-@pytest.fixture
-def build(restaurant_folder, tmp_path):
-    """Makes the configuration and the trainer of an agent, in a named folder."""
-
-    def made(agent, name, *further):
-        domain = ("domain=folder", f"domain.path={restaurant_folder}")
-        config = compose([*AGENTS[agent], *SHRUNKEN, *domain, *further])
-        return config, build_trainer(config, tmp_path / name)[0]
-
-    return made
-
-
 DAILY = ("bbqn_mc", "dqn_bootstrap", "dqn_vime_map", "noisy_dqn")
 
 
 @pytest.mark.filterwarnings("ignore:No target network updater")  # on a device without numbers
-@pytest.mark.parametrize(
-    "agent",
-    [name if name in DAILY else pytest.param(name, marks=pytest.mark.slow) for name in AGENTS],
-)
-def test_a_rounds_updates_never_wait_and_find_all_on_their_device(agent, build):
-    config, trainer = build(agent, "run")
+@pytest.mark.parametrize("agent", nightly(AGENTS, DAILY))
+def test_a_rounds_updates_never_wait_and_find_all_on_their_device(agent, tmp_path):
+    config = compose([*AGENTS[agent], *SHRUNKEN])
+    trainer, _ = build_trainer(config, tmp_path)
     with drawn_as_on_a_device():
         trainer.begin()
         trainer.train_round()

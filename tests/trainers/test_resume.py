@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import forked
 import pytest
 import torch
-from tiny import rows
+from tiny import nightly, rows
 from trainer_parts import make_trainer, random_policy
 
 from bbq_torchrl.data import ReplicaReplay
@@ -103,12 +103,9 @@ def reference(tmp_path_factory) -> RoundTrainer:
 
 
 DAILY = ("in the middle of an epoch", "while a checkpoint is written", WITHIN_A_LINE)
-NIGHTLY = [
-    pytest.param(moment, marks=pytest.mark.slow) for moment in MOMENTS if moment not in DAILY
-]
 
 
-@pytest.mark.parametrize("moment", [*DAILY, *NIGHTLY])
+@pytest.mark.parametrize("moment", nightly([*MOMENTS, WITHIN_A_LINE], DAILY))
 def test_a_training_killed_at_the_worst_moment_ends_the_same(tmp_path, reference, moment):
     folder = tmp_path / "run"
 

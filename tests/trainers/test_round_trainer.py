@@ -1,16 +1,22 @@
-"""The round trainer on an environment of a few lines."""
+"""The round trainer on an environment of a few lines, and with losses of several kinds."""
 
 import csv
+from types import SimpleNamespace
 
 import pytest
 import torch
+import trainer_parts
+from dynamics_losses import dynamics_loss
+from q_transitions import bayes_loss, plain_loss, transitions
+from tensordict import TensorDict
 from torch.optim import Adam
 from torchrl.envs import ExcludeTransform, TransformedEnv
-from trainer_parts import GuessEnv, make_trainer
+from trainer_parts import CountingLoss, GuessEnv, make_trainer
 
 from bbq_torchrl.exploration import BatchedEGreedy
 from bbq_torchrl.options import ProtocolOption
-from bbq_torchrl.trainers import TrainingError, derive_seed
+from bbq_torchrl.trainers import Learner, TrainingError, derive_seed
+from bbq_torchrl.vime import vime_losses
 
 
 def test_it_learns(tmp_path):
@@ -51,16 +57,28 @@ def test_metrics_are_what_was_played_and_learned(tmp_path):
     assert all(0.0 <= row["success_rate"] <= 1.0 for row in rows)
 
 
-def test_a_round_has_the_updates_that_are_asked_for_from_the_first_to_the_last(
-    tmp_path, monkeypatch
-):
-    trainer = make_trainer(tmp_path, rounds=3, replicas=2, updates_per_round=7)
-    events: list[str] = []
+def noted(monkeypatch, trainer):
+    """Records every freeze and every batch that the loss learns from, by the method's name."""
+    events = []
     for owner, name in (
         (trainer.learner.target_updater, "step"),
         (trainer.learner.loss, "forward"),
     ):
-        noted(monkeypatch, owner, name, events)
+        method = getattr(owner, name)
+
+        def called(*arguments, name=name, method=method):
+            events.append(name)
+            return method(*arguments)
+
+        monkeypatch.setattr(owner, name, called)
+    return events
+
+
+def test_a_round_has_the_updates_that_are_asked_for_from_the_first_to_the_last(
+    tmp_path, monkeypatch
+):
+    trainer = make_trainer(tmp_path, rounds=3, replicas=2, updates_per_round=7)
+    events = noted(monkeypatch, trainer)
     rows = trainer.train()
     assert [row["updates"] for row in rows] == 6 * [7]
     assert events == 3 * ["step", *4 * ["forward"], "step", *3 * ["forward"]]
@@ -68,12 +86,7 @@ def test_a_round_has_the_updates_that_are_asked_for_from_the_first_to_the_last(
 
 def test_rounds_follow_the_protocol_and_move_schedules_and_environment(tmp_path, monkeypatch):
     trainer = make_trainer(tmp_path, rounds=2, replicas=1)
-    events: list[str] = []
-    for owner, name in (
-        (trainer.learner.target_updater, "step"),
-        (trainer.learner.loss, "forward"),
-    ):
-        noted(monkeypatch, owner, name, events)
+    events = noted(monkeypatch, trainer)
 
     rows = trainer.train()
 
@@ -114,17 +127,6 @@ def test_a_schedule_falls_with_the_success_of_its_replica_resumed_or_not(tmp_pat
     seen = [(row["success_rate"], row["by success"]) for row in whole]
     assert seen == [(row["success_rate"], row["by success"]) for row in resumed]
     assert len(set(seen)) > 3
-
-
-def noted(monkeypatch, owner, name, events):
-    """Records every call of a method by its name."""
-    method = getattr(owner, name)
-
-    def called(*arguments):
-        events.append(name)
-        return method(*arguments)
-
-    monkeypatch.setattr(owner, name, called)
 
 
 def test_every_phase_and_epoch_of_every_replica_has_a_separate_seed(tmp_path, monkeypatch):
@@ -218,3 +220,91 @@ def test_a_folder_that_contains_a_run_is_not_overwritten(tmp_path):
 def test_parts_that_do_not_fit_are_refused(tmp_path, changed):
     with pytest.raises(ValueError, match=r"batch size|optimizer"):
         make_trainer(tmp_path, **changed)
+
+
+class Still:
+    """An optimizer that neither steps nor clears the gradients."""
+
+    replicas = 2
+
+    def zero_grad(self):
+        pass
+
+    def step(self, active=None):
+        pass
+
+    def scale_lr(self, share):
+        pass
+
+    def state_dict(self):
+        pass
+
+    def load_state_dict(self, state_dict):
+        pass
+
+
+def batch():
+    return SimpleNamespace(transitions=transitions((2,)), active=[True, True])
+
+
+def gradients(*losses):
+    return [p.grad for loss in losses for p in loss.parameters() if p.requires_grad]
+
+
+@pytest.mark.parametrize("q", [lambda r: plain_loss(r, dropout=0.5), bayes_loss])
+def test_an_update_has_the_gradients_and_the_metrics_of_each_loss(q):
+    q_loss, dynamics, learned = q((2,))[0], dynamics_loss((2,)), batch()
+    torch.manual_seed(0)
+    for loss in (q_loss, dynamics):
+        loss(learned.transitions)["loss"].backward()
+    expected = [gradient.clone() for gradient in gradients(q_loss, dynamics)]
+    names = {*q_loss.out_keys, *dynamics.out_keys} - {"loss"}
+
+    for gradient in gradients(q_loss, dynamics):
+        gradient.zero_()
+    torch.manual_seed(0)
+    losses = vime_losses(q_loss, dynamics)
+    learner = Learner(losses, None, Still(), None, batch_size=2, freezes=1, epochs=1)
+    learner.update(learned)
+
+    torch.testing.assert_close(gradients(q_loss, dynamics), expected)
+    assert learner.sums.means().keys() == names
+
+
+class Fits(CountingLoss):
+    """Notes what it is called with."""
+
+    only_fits = True
+
+    def __init__(self, *args, **kwargs):
+        super().__init__(*args, **kwargs)
+        self.calls = []
+
+    def forward(self, tensordict):
+        self.calls.append("batch")
+        return super().forward(tensordict)
+
+    def fit(self, tensordict):
+        self.calls.append(tensordict.clone())
+        return TensorDict(loss_value=torch.tensor([7.0, 8.0]), fitted=torch.tensor([1.0, 2.0]))
+
+
+@pytest.mark.parametrize("only_fits", [True, False])
+def test_a_round_ends_with_a_fit_to_all_transitions(only_fits, tmp_path, monkeypatch):
+    monkeypatch.setattr(trainer_parts, "CountingLoss", Fits)
+    monkeypatch.setattr(Fits, "only_fits", only_fits)
+    trainer = trainer_parts.make_trainer(tmp_path, replicas=2, rounds=1)
+    rows = trainer.train()
+
+    *batches, stored = trainer.learner.loss.calls
+    assert ("batch" in batches) is not only_fits
+    assert stored["valid"].sum(-1).tolist() == list(trainer.replay.lengths)
+    for replica, buffer in enumerate(trainer.replay.buffers):
+        seen = stored["observation"][replica][stored["valid"][replica]]
+        kept = buffer.storage.get(slice(0, len(buffer)))["observation"]
+        assert torch.equal(seen.unique(dim=0), kept.unique(dim=0))
+        assert not torch.equal(seen, kept)  # they are shuffled
+    assert [row["loss"] for row in rows] == [7.0, 8.0]
+    assert [row["fitted"] for row in rows] == [1.0, 2.0]
+    assert ("td_error" in rows[0]) is not only_fits
+    assert (rows[0]["updates"] > 0) is not only_fits

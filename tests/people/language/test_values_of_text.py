@@ -6,7 +6,6 @@ import pytest
 
 from bbq_torchrl.people.language.quantities import READERS
 from bbq_torchrl.people.language.words import tokenize
-from bbq_torchrl.utils.extras import needed
 
 TABLE = Path(__file__).with_name("quantities.txt").read_text()
 ROWS = [line for line in TABLE.splitlines() if line and line[0] != "#"]
@@ -50,11 +49,6 @@ def test_every_value_means_itself(lexicon):
     for slot in lexicon.slots:
         for value in lexicon.values(slot)[::7]:
             assert lexicon.link(slot, value).values == (value,)
-
-
-def test_a_missing_library_names_the_command():
-    with pytest.raises(ModuleNotFoundError, match=r"pip install .*\[language\]'"):
-        needed("no-such", "no_such_library_at_all")
 
 
 @pytest.mark.parametrize(

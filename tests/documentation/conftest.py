@@ -1,6 +1,0 @@
-"""Makes the repository's scripts importable: they are not in the package."""
-
-import sys
-from pathlib import Path
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
