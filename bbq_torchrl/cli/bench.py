@@ -100,16 +100,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     cells = [
         cell
         for agent, overrides in agents.items()
-        for cell in cells_of(
-            agent,
-            [*given.set, *overrides],
-            folder=given.folder,
-            domains=domains,
-            errors=given.errors,
-            budgets=given.budgets,
-            seeds=given.seeds,
-            seed=given.seed,
-        )
+        for cell in cells_of(agent, [*given.set, *overrides], domains, given)
     ]
     for cell in cells:
         _refuse_invalid(cell, to_train=not given.page)
@@ -230,29 +221,21 @@ def _domains(given: Sequence[str]) -> dict[str, list[str]]:
 def cells_of(
     agent: str,
     overrides: Sequence[str],
-    *,
-    folder: Path,
     domains: Mapping[str, Sequence[str]],
-    errors: Sequence[str],
-    budgets: Sequence[int],
-    seeds: int,
-    seed: int,
+    given: Namespace,
 ) -> list[Cell]:
     """Returns the cells of an agent: a run folder for each domain and error level.
 
     Args:
         agent: the agent's name.
         overrides: those of ``bbq train`` that make the agent.
-        folder: the folder of the bench.
         domains: name -> overrides.
-        errors: slot error probabilities, or ``reference``.
-        budgets: numbers of training dialogues, in order.
-        seeds: number of seeds.
-        seed: the run's seed.
+        given: the command line, with its budgets in order.
 
     Raises:
         ConfigError: a budget is not whole rounds, or a configuration is refused.
     """
+    budgets, seeds = given.budgets, given.seeds
     dialogues = compose([*overrides, f"replicas={seeds}"]).protocol.dialogues
     if uneven := [budget for budget in budgets if budget % dialogues]:
         raise ConfigError(
@@ -261,17 +244,17 @@ def cells_of(
         )
     shared = [
         *overrides,
-        f"seed={seed}",
+        f"seed={given.seed}",
         f"replicas={seeds}",
         f"protocol.rounds={budgets[-1] // dialogues}",
         f"protocol.eval_every={math.gcd(*budgets) // dialogues}",
     ]
     cells = []
     for domain, own in domains.items():
-        for level in dict.fromkeys(errors):
+        for level in dict.fromkeys(given.errors):
             chance = "null" if level == "reference" else level
             whole = (*shared, *own, f"env.slot_error_prob={chance}")
-            place = folder / domain / f"errors_{level}" / agent
+            place = given.folder / domain / f"errors_{level}" / agent
             cells.append(Cell(agent, (domain, level), place, whole, compose(whole)))
     return cells
 
@@ -328,7 +311,8 @@ def goal_plays(cell: Cell) -> dict[str, Any]:
 
     from bbq_torchrl.evaluation.rollouts import evaluation_rollouts
     from bbq_torchrl.runs.loading import load_run
-    from bbq_torchrl.trainers import derive_seed, episode_stats
+    from bbq_torchrl.trainers import episode_stats
+    from bbq_torchrl.utils.seeds import derive_seed
 
     config = cell.config
     goals = len(config.domain.make().goals)
@@ -356,10 +340,8 @@ def _write(given: Namespace, command: str, cells: Sequence[Cell], missing: list[
 
     rows, scripts, about = [], {}, []
     for cell in cells:
-        entry: dict[str, Any] = {
-            "cell": cell.name,
-            "command": shlex.join([*train_command(), *cell.overrides]),
-        }
+        entry: dict[str, Any] = {"cell": cell.name}
+        entry["command"] = shlex.join([*train_command(), *cell.overrides])
         if cell.is_played:
             played = json.loads((cell.folder / _PLAYED).read_text(encoding="utf-8"))
             name = cell.agent, cell.setting, cell.folder, given.budgets
@@ -378,9 +360,8 @@ def _write(given: Namespace, command: str, cells: Sequence[Cell], missing: list[
         "scripts": scripts,
         "cells": about,
     }
-    report = bench_report(
-        rows, list(dict.fromkeys(cell.agent for cell in cells)), settings, content
-    )
+    agents = list(dict.fromkeys(cell.agent for cell in cells))
+    report = bench_report(rows, agents, settings, content)
     report.write(given.folder)
     write_json(content, given.folder / "bench.json")
     return str(report)

@@ -89,7 +89,7 @@ def calibrate(
     from bbq_torchrl.evaluation.rollouts import evaluate
     from bbq_torchrl.options.env import FullDomain
     from bbq_torchrl.runs.build import check_device, set_up_process
-    from bbq_torchrl.trainers import derive_seed
+    from bbq_torchrl.utils.seeds import derive_seed
     from bbq_torchrl.utils.statistics import binomial_standard_error
 
     option = config.env

@@ -12,14 +12,8 @@ from torchrl.envs.utils import ExplorationType
 
 from bbq_torchrl.protocols import enter_round
 from bbq_torchrl.simulator import Transcript
-from bbq_torchrl.trainers import (
-    BestWeights,
-    EpisodeStats,
-    Policy,
-    derive_seed,
-    episode_stats,
-    rollouts,
-)
+from bbq_torchrl.trainers import BestWeights, EpisodeStats, Policy, episode_stats, rollouts
+from bbq_torchrl.utils.seeds import derive_seed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator
@@ -135,33 +129,21 @@ def transcripts(env: DialogueEnv, policy: Policy, dialogues: int, *, seed: int =
         seed: seed of policy and environment.
     """
     transcript = Transcript(env.simulator.domain)
-    recorder = _Recorder(env, policy)
+    states: list[TensorDictBase] = []
     texts: list[str] = []
-    for rollout in evaluation_rollouts(env, recorder, dialogues, seed=seed):
-        states = [*recorder.states, env.dialogues[0].cpu()]
-        recorder.states.clear()
+
+    def recorded(tensordict: TensorDictBase) -> TensorDictBase:
+        states.append(env.dialogues[0].cpu())
+        return policy(tensordict)
+
+    if isinstance(policy, nn.Module):
+        policy.eval()
+    for rollout in evaluation_rollouts(env, recorded, dialogues, seed=seed):
+        states.append(env.dialogues[0].cpu())
         for place in range(rollout.batch_size[-2]):
             texts.append(_text(transcript, len(texts), [state[place] for state in states]))
+        states.clear()
     return texts
-
-
-class _Recorder(nn.Module):
-    """A policy that records the first replica's dialogues before each action.
-
-    As a module it passes evaluation mode on to the wrapped policy.
-    """
-
-    def __init__(self, env: DialogueEnv, policy: Policy) -> None:
-        super().__init__()
-        self.policy = policy
-        self.states: list[TensorDictBase] = []
-        # An environment is a module: as an attribute it would become a submodule.
-        self._dialogues = lambda: env.dialogues[0].cpu()
-
-    def forward(self, tensordict: TensorDictBase) -> TensorDictBase:
-        """Records the dialogues, then acts."""
-        self.states.append(self._dialogues())
-        return self.policy(tensordict)
 
 
 def _text(transcript: Transcript, number: int, states: list[TensorDictBase]) -> str:

@@ -25,9 +25,10 @@ from bbq_torchrl.evaluation.run_result import read_result, write_json
 from bbq_torchrl.runs.compose import train_command
 from bbq_torchrl.runs.folders import is_finished, refuse_links, restarted_config
 from bbq_torchrl.settings import ConfigError
-from bbq_torchrl.trainers import TrainingError, derive_seed
+from bbq_torchrl.trainers import TrainingError
 from bbq_torchrl.utils.extras import sqlite_url
 from bbq_torchrl.utils.reports import Table
+from bbq_torchrl.utils.seeds import derive_seed
 from bbq_torchrl.utils.statistics import interquartile_mean
 from bbq_torchrl.utils.text import sentence
 
@@ -42,6 +43,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.search.definition import Search, SearchConfig
     from bbq_torchrl.trainers import RoundTrainer
     from bbq_torchrl.trainers.recording import MetricRow
+    from bbq_torchrl.trainers.round_trainer import RoundCallback
 
 _LOG = logging.getLogger(__name__)
 
@@ -217,7 +219,7 @@ def _play(
     if is_finished(folder, config.protocol.rounds):
         result = read_result(folder)
     else:
-        result = train(config, folder, [_Reports(trial, search.settings)])
+        result = train(config, folder, [_reports(trial, search.settings)])
     return _value(result, folder, search.settings)
 
 
@@ -233,24 +235,21 @@ def _sampler(search: Search, seed: int) -> optuna.samplers.BaseSampler:
     )
 
 
-class _Reports:
-    """Reports the success of all dialogues so far after every round; prunes the trial."""
+def _reports(trial: optuna.Trial, settings: SearchConfig) -> RoundCallback:
+    """Returns a callback that reports the success of all dialogues so far, and prunes the trial."""
+    # A resumed trial repeats rounds that it has already reported.
+    reported = {*trial.study.get_trials(deepcopy=False)[trial.number].intermediate_values}
 
-    def __init__(self, trial: optuna.Trial, settings: SearchConfig) -> None:
-        self._trial = trial
-        self._settings = settings
-        # A resumed trial repeats rounds that it has already reported.
-        known = trial.study.get_trials(deepcopy=False)[trial.number].intermediate_values
-        self._reported = set(known)
-
-    def __call__(self, trainer: RoundTrainer, rows: Sequence[MetricRow], /) -> None:
+    def report(trainer: RoundTrainer, rows: Sequence[MetricRow]) -> None:
         replicas, done = len(rows), trainer.rounds_done
         success = [row["success_rate"] for row in trainer.metrics.rows]
         so_far = [math.fsum(success[replica::replicas]) / done for replica in range(replicas)]
-        if done - 1 not in self._reported:
-            self._trial.report(_over_replicas(so_far, self._settings), step=done - 1)
-        if done < trainer.rounds and self._trial.should_prune():
+        if done - 1 not in reported:
+            trial.report(_over_replicas(so_far, settings), step=done - 1)
+        if done < trainer.rounds and trial.should_prune():
             raise optuna.TrialPruned
+
+    return report
 
 
 def _value(result: RunResult, folder: Path, settings: SearchConfig) -> float:

@@ -6,7 +6,7 @@ import math
 import re
 from dataclasses import dataclass
 from io import BytesIO
-from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
+from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.utils.files import csv_text, write_bytes, write_text
 from bbq_torchrl.utils.text import EMPTY
@@ -20,14 +20,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.utils.statistics import Estimate
 
 
-@runtime_checkable
-class Cell(Protocol):
-    """A value printed as one cell (``str``) and written to CSV as several columns."""
-
-    def csv_columns(self) -> Mapping[str, float]:
-        """Returns suffixes of CSV columns and their numbers, unrounded."""
-
-
 @dataclass(frozen=True)
 class Table:
     """A table of a report.
@@ -35,7 +27,8 @@ class Table:
     Attributes:
         name: the name of its CSV file.
         rows: column -> cell; a missing cell is shown as a dash. A column such as
-            ``reward: the paper's`` is headed by the part after the colon.
+            ``reward: the paper's`` is headed by the part after the colon. A cell with a method
+            ``csv_columns()``, suffix -> number, is written to CSV as several columns.
         words: the number of leading columns that are text.
     """
 
@@ -111,10 +104,10 @@ def _shown(cell: object) -> str:
     return f"{cell:.2f}" if type(cell) is float else str(cell)
 
 
-def _line(row: Mapping[str, object]) -> dict[str, object]:
+def _line(row: Mapping[str, Any]) -> dict[str, object]:
     line: dict[str, object] = {}
     for column, cell in row.items():
-        parts = cell.csv_columns() if isinstance(cell, Cell) else {"": cell}
+        parts = cell.csv_columns() if hasattr(cell, "csv_columns") else {"": cell}
         line |= {_plain(column) + end: _kept(part) for end, part in parts.items()}
     return line
 

@@ -22,8 +22,7 @@ def _note_seed() -> None:
     _at_fork = os.getpid(), torch.initial_seed()
 
 
-if hasattr(os, "register_at_fork"):
-    os.register_at_fork(before=_note_seed)
+os.register_at_fork(before=_note_seed)
 
 
 def checked_seed(seed: SupportsIndex) -> int:

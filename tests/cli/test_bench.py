@@ -5,6 +5,7 @@ import math
 import os
 import signal
 import time
+from argparse import Namespace
 
 import forked
 import numpy as np
@@ -149,16 +150,8 @@ def test_a_page_alone_trains_nothing(tmp_path):
 
 def test_goals_are_played_as_often_as_an_evaluation_plays_them(monkeypatch, tmp_path):
     # A scripted policy takes the place of a trained one; another command measures its success.
-    (cell,) = bench.cells_of(
-        "dqn",
-        ["agent=dqn"],
-        folder=tmp_path,
-        domains={"hotel": ["domain=hotel"]},
-        errors=["reference"],
-        budgets=[500],
-        seeds=2,
-        seed=1,
-    )
+    given = Namespace(folder=tmp_path, errors=["reference"], budgets=[500], seeds=2, seed=1)
+    (cell,) = bench.cells_of("dqn", ["agent=dqn"], {"hotel": ["domain=hotel"]}, given)
     env, domain = cell.config.env, cell.config.domain.make()
 
     def loaded(folder, *, dialogues, device):

@@ -17,7 +17,7 @@ from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import build_trainer, run
 from bbq_torchrl.settings import ConfigError
-from bbq_torchrl.trainers import derive_seed
+from bbq_torchrl.utils.seeds import derive_seed
 
 SMALL = (
     *TINY,

@@ -28,15 +28,9 @@ from bbq_torchrl.people.study.database import (
     Session,
     opened,
 )
+from bbq_torchrl.people.study.participants import participant_mean, sign_flip
 from bbq_torchrl.people.study.plan import Terms
-from bbq_torchrl.utils.statistics import (
-    ALPHA,
-    Estimate,
-    PValue,
-    holm,
-    participant_mean,
-    sign_flip,
-)
+from bbq_torchrl.utils.statistics import ALPHA, Estimate, PValue, holm
 
 Value = TypeVar("Value")
 

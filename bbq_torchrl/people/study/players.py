@@ -12,9 +12,9 @@ from typing import TYPE_CHECKING
 
 import torch
 
-from bbq_torchrl.domains import NO_MATCH, tensorize
+from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.frames import Coding, Frame
-from bbq_torchrl.domains.values import FIRST_VALUE
+from bbq_torchrl.domains.values import FIRST_VALUE, NO_MATCH
 from bbq_torchrl.people.dialogue.exchange import Memory
 from bbq_torchrl.people.dialogue.partner import Partner
 from bbq_torchrl.people.dialogue.spelling import Spelling

@@ -13,9 +13,9 @@ import numpy as np
 from bbq_torchrl.people.study.database import HIGHEST, LOWEST, SCALES
 from bbq_torchrl.people.study.export import export
 from bbq_torchrl.people.study.outcomes import Outcome, compare_pairs
+from bbq_torchrl.people.study.participants import auroc, kappa, participant_mean, proportion
 from bbq_torchrl.people.study.simulate import RATING_RULE
 from bbq_torchrl.utils.reports import Report, Table, add_legend, draw_intervals, subplots
-from bbq_torchrl.utils.statistics import auroc, kappa, participant_mean, proportion
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Collection, Iterator, Sequence

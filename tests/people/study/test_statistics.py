@@ -10,15 +10,14 @@ import pytest
 from scipy import stats
 
 from bbq_torchrl.people.study.outcomes import power
-from bbq_torchrl.utils.statistics import (
-    PValue,
+from bbq_torchrl.people.study.participants import (
     auroc,
-    holm,
     kappa,
     participant_mean,
     proportion,
     sign_flip,
 )
+from bbq_torchrl.utils.statistics import PValue, holm
 
 
 @pytest.mark.parametrize(("won", "count"), [(0, 10), (3, 10), (40, 66), (66, 66)])
