@@ -210,7 +210,7 @@ class ReplicaReplay:
         Raises:
             ValueError: if a replica has no transitions.
         """
-        self._check_not_empty()
+        self._check_readable()
         self._computed[key] = map_stored_rows(self.buffers, function)
 
     def epoch(self, batch_size: int) -> list[Batch]:
@@ -266,11 +266,8 @@ class ReplicaReplay:
             rows = self.transform(rows)
         return rows.unflatten(1, (rows.shape[1] // batch_size, batch_size)).unbind(1)
 
-    def _check_readable(self, batch_size: int) -> None:
+    def _check_readable(self, batch_size: int = 1) -> None:
         check("batch_size", batch_size, at_least(1))
-        self._check_not_empty()
-
-    def _check_not_empty(self) -> None:
         if min(self.lengths) == 0:
             raise ValueError(f"every replica needs a transition to learn from, got {self.lengths}")
 

@@ -47,7 +47,6 @@ class BatchedEGreedy(EGreedyModule):
         action_key: as in ``EGreedyModule``.
         action_mask_key: bool [*batch, N], or None for no mask.
         until_success: see :class:`Boltzmann`.
-        device: device of the schedule.
 
     Raises:
         ValueError: unless 1 ≥ eps_init ≥ eps_end ≥ 0 and the schedule has a step.
@@ -75,7 +74,6 @@ class BatchedEGreedy(EGreedyModule):
         action_key: NestedKey = "action",
         action_mask_key: NestedKey | None = None,
         until_success: float | None = None,
-        device: torch.device | None = None,
     ) -> None:
         start, end = schedule(eps_init, eps_end, annealing_num_steps)
         if not bool(((start <= 1) & (start >= end) & (end >= 0)).all()):
@@ -90,11 +88,10 @@ class BatchedEGreedy(EGreedyModule):
             annealing_num_steps,
             action_key=action_key,
             action_mask_key=action_mask_key,
-            device=device,
         )
-        self.eps_init = start.to(device)
-        self.eps_end = end.to(device)
-        self.eps = start.to(device, copy=True)
+        self.eps_init = start
+        self.eps_end = end
+        self.eps = start.clone()
         self.until_success = until_success
         self.register_buffer(
             "success", None if until_success is None else torch.zeros_like(self.eps)
@@ -132,7 +129,6 @@ class Boltzmann(TensorDictModuleBase):
         action_mask_key: bool [*batch, N], or None for no mask.
         until_success: the mean success at which the schedule ends. It then falls with success and
             not with :meth:`step`; its start or end must have shape [replicas, 1]. Defaults to None.
-        device: device of the schedule.
 
     Raises:
         ValueError: unless temperature_init ≥ temperature_end > 0 and the schedule has a step.
@@ -164,7 +160,6 @@ class Boltzmann(TensorDictModuleBase):
         action_value_key: NestedKey = "action_value",
         action_mask_key: NestedKey | None = "action_mask",
         until_success: float | None = None,
-        device: torch.device | str | None = None,
     ) -> None:
         start, end = schedule(temperature_init, temperature_end, annealing_num_steps)
         if not bool(((start >= end) & (end > 0)).all()):
@@ -181,9 +176,9 @@ class Boltzmann(TensorDictModuleBase):
             self.in_keys.append(action_mask_key)
         self.out_keys = [action_key]
         self.annealing_num_steps = annealing_num_steps
-        self.register_buffer("temperature_init", start.to(device))
-        self.register_buffer("temperature_end", end.to(device))
-        self.register_buffer("temperature", start.to(device, copy=True))
+        self.register_buffer("temperature_init", start)
+        self.register_buffer("temperature_end", end)
+        self.register_buffer("temperature", start.clone())
         self.until_success = until_success
         if until_success is not None:
             self.register_buffer("success", torch.zeros_like(self.temperature))

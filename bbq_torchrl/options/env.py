@@ -113,10 +113,6 @@ class EnvOption(Option):
         """Returns the features and the actions that become active later (bool), or None."""
         return None
 
-    def inactive_slots(self, domain: Domain | None) -> set[str]:
-        """Returns the slots that no round activates."""
-        return set()
-
     def additions(self, domain: Domain | None) -> dict[int, str]:
         """Returns the added slot by round."""
         return {}
@@ -263,11 +259,6 @@ class DomainExtension(FullDomain):
     def inactive(self, env: EnvBase) -> tuple[Tensor, Tensor]:
         """The features and actions of slots that are not active in the first round."""
         return ~env.active_features, ~env.simulator.action_mask(env.active_slots)
-
-    def inactive_slots(self, domain: Domain | None) -> set[str]:
-        """The slots that are neither essential nor in the domain's extension order."""
-        assert domain is not None
-        return set(self.schedule().never_active(domain))
 
     def additions(self, domain: Domain | None) -> dict[int, str]:
         """The added slot by round."""

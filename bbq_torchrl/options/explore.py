@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from bbq_torchrl.options.registry import Option, register
-from bbq_torchrl.options.task import annealed_rounds, check_falls, replica_column
+from bbq_torchrl.options.task import check_falls, replica_column
 from bbq_torchrl.settings import (
     BOOLEAN,
     POSITIVE,
@@ -98,7 +98,7 @@ class AnnealedOption(ExploreOption):
         """Returns start, end and the schedule's keywords for an exploration module."""
         first, last = replica_column(start, task), replica_column(end, task)
         if self.anneal_by == "rounds":
-            rounds = annealed_rounds(self.anneal_fraction, task)
+            rounds = max(1, round(self.anneal_fraction * task.rounds))
             return first, last, {"annealing_num_steps": rounds}
         import torch
 
@@ -123,20 +123,12 @@ class EpsilonGreedy(AnnealedOption):
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
         """The policy, followed by a module that replaces its action."""
         from tensordict.nn import TensorDictSequential
-        from torch import Tensor
-        from torchrl.modules import EGreedyModule
 
         from bbq_torchrl.exploration import BatchedEGreedy
 
         start, end, keywords = self.schedule(self.eps_init, self.eps_end, task)
-        has_several = isinstance(start, Tensor) or isinstance(end, Tensor)
-        epsilon = (BatchedEGreedy if has_several else EGreedyModule)(
-            task.action_spec,
-            eps_init=start,
-            eps_end=end,
-            action_mask_key=task.action_mask_key,
-            **keywords,
-        )
+        spec, mask = task.action_spec, task.action_mask_key
+        epsilon = BatchedEGreedy(spec, start, end, action_mask_key=mask, **keywords)
         return TensorDictSequential(greedy, epsilon), {"epsilon": lambda: epsilon.eps.squeeze(-1)}
 
 

@@ -190,8 +190,3 @@ def replica_column(value: Values, task: Task) -> float | Tensor:
     """Returns a number as a float, and a list as a float64 tensor [replicas, 1]."""
     over = over_replicas(value, task)
     return over if isinstance(over, float) else over.unsqueeze(-1)
-
-
-def annealed_rounds(fraction: float, task: Task) -> int:
-    """Returns the length of a schedule in rounds, at least 1."""
-    return max(1, round(fraction * task.rounds))

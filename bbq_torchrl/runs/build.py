@@ -1,13 +1,13 @@
-"""Parts of a run other than the agent: domain, spike policy, evaluation, process setup."""
+"""Parts of a run other than the agent: domain, spike policy, evaluation, loggers, process setup."""
 
 from __future__ import annotations
 
 import logging
 import os
 import subprocess
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import torch
 
@@ -17,24 +17,24 @@ from bbq_torchrl.evaluation.rollouts import RoundEvaluator
 from bbq_torchrl.options import Task
 from bbq_torchrl.options.task import action_mask_key, replica_values, spread
 from bbq_torchrl.runs.folders import config_fingerprint, finished_result
-from bbq_torchrl.settings import ConfigError
+from bbq_torchrl.settings import ConfigError, walk
 from bbq_torchrl.trainers import (
     CheckpointDamagedError,
     CheckpointFolder,
     TrainingError,
-    derive_seed,
     episode_stats,
-    keep_freed_memory,
     rollouts,
 )
+from bbq_torchrl.trainers.learn import keep_freed_memory
 from bbq_torchrl.utils.files import CHECKPOINTS, METRICS, RESULT
-from bbq_torchrl.utils.text import FaultsError, shown
+from bbq_torchrl.utils.seeds import derive_seed
+from bbq_torchrl.utils.text import FaultsError, sentence, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
+    from collections.abc import Callable, Iterator, Mapping, Sequence
 
     from tensordict import NestedKey
-    from torch import Tensor
+    from torch import Tensor, nn
     from torchrl.envs import EnvBase
     from torchrl.modules import QValueActor
 
@@ -137,6 +137,16 @@ def named_memory() -> Iterator[None]:
         ) from error
 
 
+def check_weights(policy: nn.Module, folder: Path) -> None:
+    """Raises TrainingError if a run's policy has NaN or infinite weights."""
+    for name, weight in policy.named_parameters():
+        if not bool(weight.isfinite().all()):
+            raise TrainingError(
+                f"{folder} has weights that are NaN or infinite ({name}), so the agent cannot act: "
+                "train again, with a smaller agent.lr if training diverged"
+            )
+
+
 @contextmanager
 def float32_by_default() -> Iterator[None]:
     """Makes new tensors float32, as observations are, whatever the process's default dtype."""
@@ -202,7 +212,8 @@ def log_domain(config: Config, domain: Domain) -> None:
         _LOG.warning("left out of the domain %s: %s", domain.name, text)
     for text in domain.doubts:
         _LOG.warning("in the domain %s: %s", domain.name, text)
-    inactive = config.env.inactive_slots(domain)
+    active = {*(domain.essential + domain.extension_order if config.env.extends else domain.slots)}
+    inactive = {*domain.slots} - active
     named = [{*goal.constraints, *goal.requests} for goal in domain.goals]
     if cut := sum(bool(inactive & slots) for slots in named):
         _LOG.info(
@@ -241,11 +252,10 @@ def round_evaluator(
 def values_as_metrics(config: Config) -> dict[str, Callable[[], Tensor]]:
     """Returns a metric for each key with a list: the values of the replicas."""
     per_replica = replica_values(config)
-    columns = {
-        key: torch.tensor([values[key] for values in per_replica], dtype=torch.float64)
+    return {
+        key: torch.tensor([values[key] for values in per_replica], dtype=torch.float64).clone
         for key in per_replica[0]
     }
-    return {key: column.clone for key, column in columns.items()}
 
 
 def divergence(config: Config, rows: Sequence[MetricRow]) -> dict[int, str]:
@@ -281,6 +291,59 @@ def divergence_warning(config: Config) -> Callable[[RoundTrainer, Sequence[Metri
     return warn
 
 
+class RunLogger:
+    """The loggers of a run, opened and closed by ``with``.
+
+    At their first error they are given up with a warning, since metrics.csv has everything.
+
+    Args:
+        config: the run's configuration, which is logged.
+        run_folder: the run folder.
+
+    Raises:
+        ConfigError: the loggers cannot be made.
+    """
+
+    def __init__(self, config: Config, run_folder: Path) -> None:
+        self._config, self._option, self._works = config, config.logger, True
+        try:
+            made = self._option.make(run_folder, resume=config.resume is not None)
+        except Exception as error:
+            raise ConfigError(f"logger={self._option.name} cannot begin: {error}") from error
+        self._loggers = tuple(made)
+
+    def __enter__(self) -> RunLogger:
+        flat = {key: value for key, _, value in walk(self._config) if key != "resume"}
+        self._try(self._option.log_config, self._loggers, flat)
+        return self
+
+    def log_metrics(self, metrics: Mapping[str, float], step: int) -> None:
+        """Logs the metrics of a round."""
+        self._try(self._option.log_round, self._loggers, metrics, round=step)
+
+    def log_result(self, result: Mapping[str, float], rounds: int) -> None:
+        """Logs the numbers of the final result."""
+        self._try(self._option.log_result, self._loggers, result, rounds=rounds)
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._works:
+            self._try(self._option.close, self._loggers, finished=kind is None)
+        else:
+            with suppress(Exception):
+                self._option.close(self._loggers, finished=False)
+
+    def _try(self, log: Callable[..., object], *given: Any, **more: Any) -> None:
+        try:
+            if self._works:
+                log(*given, **more)
+        except Exception as error:
+            self._works = False
+            _LOG.warning(
+                "logger=%s failed and is given up, %s has everything: %s",
+                *(self._option.name, METRICS, sentence(error)),
+            )
+
+
 _SECONDS = 30.0  # git on a network drive is slow, but must not block a run
 
 
@@ -289,7 +352,7 @@ class Checkout(NamedTuple):
 
     Attributes:
         commit: the hash of the commit checked out; None outside a checkout.
-        clean: whether no tracked file is changed; None if unknown.
+        clean: whether no tracked file is changed; None outside a checkout.
     """
 
     commit: str | None = None
@@ -306,11 +369,8 @@ def checkout(folder: Path | None = None) -> Checkout:
     folder = Path(bbq_torchrl.__file__).parent if folder is None else folder
     if _git(folder, "ls-files", "--error-unmatch", "__init__.py") is None:
         return Checkout()
-    commit = _git(folder, "rev-parse", "--verify", "HEAD")
-    if commit is None:
-        return Checkout()
-    status = _git(folder, "status", "--porcelain", "--untracked-files=no")
-    return Checkout(commit, None if status is None else not status)
+    found = _git(folder, "describe", "--always", "--exclude=*", "--abbrev=40", "--dirty=?")
+    return Checkout(found.removesuffix("?"), not found.endswith("?")) if found else Checkout()
 
 
 def _git(folder: Path, *command: str) -> str | None:

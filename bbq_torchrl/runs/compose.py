@@ -96,7 +96,9 @@ def compose_raw(overrides: Sequence[str], root: type = Config) -> DictConfig:
         ConfigError: Hydra cannot compose them; the message is Hydra's.
     """
     try:
-        return hydra_compose(ROOTS[root], [*_search_path(), *overrides], return_hydra_config=True)
+        folder = options_folder()
+        added = [] if folder is None else [f"hydra.searchpath=[{quoted(f'file://{folder}')}]"]
+        return hydra_compose(ROOTS[root], [*added, *overrides], return_hydra_config=True)
     except (HydraException, OmegaConfBaseException, YAMLError) as error:
         cause = f": {sentence(error.__cause__)}" if error.__cause__ else ""
         raise ConfigError(f"{sentence(error)}{cause}") from error
@@ -191,12 +193,6 @@ def quoted(path: Path | str) -> str:
     """Returns a path quoted for Hydra."""
     text = os.fspath(path).replace("\\", "\\\\").replace("'", "\\'")
     return f"'{text}'"
-
-
-def _search_path() -> list[str]:
-    """Returns the override that adds a loaded folder of options to Hydra's search path."""
-    folder = options_folder()
-    return [] if folder is None else [f"hydra.searchpath=[{quoted(f'file://{folder}')}]"]
 
 
 def take_config_dir(arguments: Sequence[str]) -> list[str]:

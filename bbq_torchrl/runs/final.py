@@ -28,9 +28,9 @@ from bbq_torchrl.evaluation.run_result import (
 )
 from bbq_torchrl.options.task import replica_values
 from bbq_torchrl.protocols import enter_round
-from bbq_torchrl.runs.build import divergence
+from bbq_torchrl.runs.build import check_weights, divergence
 from bbq_torchrl.settings import ConfigError
-from bbq_torchrl.trainers import NonFiniteWeightsError, RunFolderGoneError
+from bbq_torchrl.trainers import RunFolderGoneError
 from bbq_torchrl.utils.files import CURVE, RESULT
 
 if TYPE_CHECKING:
@@ -42,8 +42,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config
-    from bbq_torchrl.runs.build import Checkout
-    from bbq_torchrl.runs.run_logger import RunLogger
+    from bbq_torchrl.runs.build import Checkout, RunLogger
     from bbq_torchrl.trainers import EpisodeStats, RoundTrainer
 
 _LOG = logging.getLogger(__name__)
@@ -77,7 +76,7 @@ def final_result(
     parallel = protocol.parallel_dialogues(protocol.eval_dialogues, config.replicas)
     env = _last_env(config, domain, config.replicas, parallel)
     name, policy = config.agent.make_evaluation(actor)
-    NonFiniteWeightsError.check(policy, folder)
+    check_weights(policy, folder)
     played = _played(config, env, policy, protocol.eval_dialogues)
     RunFolderGoneError.check(folder)
     metrics = Metrics(rows)

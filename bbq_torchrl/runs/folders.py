@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import os
 import platform
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from typing import TYPE_CHECKING, Any
 
 import yaml
@@ -66,13 +66,11 @@ def reserve(folder: Path) -> Path:
     folder.parent.mkdir(parents=True, exist_ok=True)
     candidate, number = folder, 1
     while True:
-        try:
+        with suppress(FileExistsError):
             candidate.mkdir()
-        except FileExistsError:
-            number += 1
-            candidate = folder.with_name(f"{folder.name}_{number}")
-        else:
             return candidate
+        number += 1
+        candidate = folder.with_name(f"{folder.name}_{number}")
 
 
 def refuse_links(folder: Path) -> None:

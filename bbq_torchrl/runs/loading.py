@@ -12,14 +12,14 @@ from hydra.types import RunMode
 from bbq_torchrl.options.registry import conf_folder, load_folder
 from bbq_torchrl.options.root import register_options
 from bbq_torchrl.protocols import enter_round
-from bbq_torchrl.runs.build import float32_by_default, make_domain
+from bbq_torchrl.runs.build import check_weights, float32_by_default, make_domain
 from bbq_torchrl.runs.compose import compose_raw, session
 from bbq_torchrl.runs.folders import config_fingerprint, run_config
 from bbq_torchrl.runs.prepare import prepare_run
 from bbq_torchrl.runs.shipped import is_shipped, run_folder
 from bbq_torchrl.runs.train import make_agent, run
 from bbq_torchrl.settings import ConfigError, check, one_of
-from bbq_torchrl.trainers import BestWeights, CheckpointFolder, NonFiniteWeightsError
+from bbq_torchrl.trainers import BestWeights, CheckpointFolder
 from bbq_torchrl.utils.files import CHECKPOINTS
 
 if TYPE_CHECKING:
@@ -139,7 +139,7 @@ def trained_policy(
         if bool((best.round < 0).any()):
             raise not_evaluated
         best.put_back()
-    NonFiniteWeightsError.check(policy, folder)
+    check_weights(policy, folder)
     return policy, name
 
 

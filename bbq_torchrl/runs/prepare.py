@@ -1,6 +1,7 @@
 """Before a run: checks of configuration, device and domain, resuming, and the run's folder.
 
-Hydra calls :class:`Preparation` before it makes a folder.
+Hydra calls :class:`Preparation` before it makes a folder, and after a sweep, for the table of its
+runs.
 """
 
 from __future__ import annotations
@@ -20,15 +21,24 @@ from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl.options import Config, validate
 from bbq_torchrl.runs.compose import key_of, quoted, to_config
-from bbq_torchrl.runs.folders import CHANGEABLE, is_finished, reserve, run_config, run_lock
-from bbq_torchrl.runs.sweeps import has_failed, table_of_runs
+from bbq_torchrl.runs.folders import (
+    CHANGEABLE,
+    finished_result,
+    is_finished,
+    reserve,
+    run_config,
+    run_lock,
+)
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
-from bbq_torchrl.utils.files import CONFIG
+from bbq_torchrl.utils.files import CONFIG, HYDRA, LOG, OVERRIDES, numbers_in_order, read_yaml
 from bbq_torchrl.utils.text import shown
 
 _ON_THIS_MACHINE = ("cores", "joblib", "basic")
 """Launchers whose jobs are this process or its children."""
+
+_HEAD = ("run", "overrides", "final success", "state")
+_FINISHED = "finished"
 
 
 class Preparation(Callback):
@@ -172,3 +182,59 @@ def _value(config: Any, key: str) -> Any:
     for name in key.split("."):
         config = getattr(config, name, None)
     return getattr(config, "name", config)
+
+
+def has_failed(sweep: Path) -> bool:
+    """Returns whether a run of a sweep is not finished."""
+    return any(_success_and_state(folder)[1] != _FINISHED for folder in _runs_of(sweep))
+
+
+def table_of_runs(sweep: Path) -> str:
+    """Returns a line for each run of a sweep: folder, overrides, final success, state.
+
+    Overrides that all runs share are left out.
+    """
+    folders = _runs_of(sweep)
+    overrides = [_overrides(folder) for folder in folders]
+    shared = set(overrides[0]).intersection(*overrides) if len(overrides) > 1 else set()
+    rows = [
+        (
+            str(folder.relative_to(sweep)),
+            " ".join(item for item in given if item not in shared),
+            *_success_and_state(folder),
+        )
+        for folder, given in zip(folders, overrides, strict=True)
+    ]
+    finished = sum(state == _FINISHED for *_, state in rows)
+    table = [_HEAD, *rows]
+    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
+    lines = (
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
+        for row in table
+    )
+    return "\n".join([f"{finished} of {len(rows)} runs in {sweep} are finished", *lines])
+
+
+def _runs_of(sweep: Path) -> list[Path]:
+    folders = (file.parent for file in sweep.rglob(HYDRA))
+    return sorted(folders, key=numbers_in_order)
+
+
+def _success_and_state(folder: Path) -> tuple[str, str]:
+    try:
+        rounds = run_config(folder).protocol.rounds
+    except ConfigError:
+        rounds = 0
+    result = finished_result(folder, rounds)
+    if result is not None and is_finished(folder, rounds):
+        return f"{result.success_rate:.3f}", _FINISHED
+    return "–", f"not finished: {LOG} in it says why"
+
+
+def _overrides(folder: Path) -> list[str]:
+    """Returns the overrides in Hydra's file of a run; empty if it cannot be read."""
+    try:
+        noted: Any = read_yaml((folder / OVERRIDES).read_text(encoding="utf-8"))
+    except (OSError, ValueError):
+        return []
+    return [item for item in noted if isinstance(item, str)] if isinstance(noted, list) else []

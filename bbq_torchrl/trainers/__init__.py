@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-from bbq_torchrl.protocols import EvaluationHook, ReplicaOptimizer, RoundEnv
-from bbq_torchrl.trainers.checkpoint import BestWeights, CheckpointFolder
+from bbq_torchrl.trainers.checkpoint import (
+    BestWeights,
+    CheckpointDamagedError,
+    CheckpointFolder,
+    CheckpointMismatchError,
+    TrainingError,
+)
 from bbq_torchrl.trainers.collect import (
     EpisodeStats,
     Policy,
@@ -12,20 +17,13 @@ from bbq_torchrl.trainers.collect import (
     rollout,
     rollouts,
 )
-from bbq_torchrl.trainers.errors import (
-    CheckpointDamagedError,
-    CheckpointMismatchError,
-    NonFiniteLossError,
-    NonFiniteWeightsError,
-    RunFolderGoneError,
-    SpikeError,
-    TrainingError,
-)
-from bbq_torchrl.trainers.learn import Learner, keep_freed_memory, losses_of
+from bbq_torchrl.trainers.learn import Learner, losses_of
 from bbq_torchrl.trainers.optimizer import ReplicaAdam
-from bbq_torchrl.trainers.recording import MetricRow, MetricsFile, RoundProgress
-from bbq_torchrl.trainers.round_trainer import RoundCallback, RoundTrainer
-from bbq_torchrl.utils.seeds import derive_seed
+from bbq_torchrl.trainers.round_trainer import (
+    NonFiniteLossError,
+    RoundTrainer,
+    RunFolderGoneError,
+)
 
 __all__ = [
     "BestWeights",
@@ -33,26 +31,15 @@ __all__ = [
     "CheckpointFolder",
     "CheckpointMismatchError",
     "EpisodeStats",
-    "EvaluationHook",
     "Learner",
-    "MetricRow",
-    "MetricsFile",
     "NonFiniteLossError",
-    "NonFiniteWeightsError",
     "Policy",
     "ReplicaAdam",
-    "ReplicaOptimizer",
-    "RoundCallback",
-    "RoundEnv",
-    "RoundProgress",
     "RoundTrainer",
     "RunFolderGoneError",
     "Spike",
-    "SpikeError",
     "TrainingError",
-    "derive_seed",
     "episode_stats",
-    "keep_freed_memory",
     "losses_of",
     "rollout",
     "rollouts",

@@ -31,11 +31,29 @@ from torch import Tensor, nn
 from torchrl import torchrl_logger
 from torchrl.checkpoint import Checkpoint, CheckpointError, StateDictCheckpointAdapter
 
-from bbq_torchrl.trainers.errors import CheckpointDamagedError, CheckpointMismatchError
-
 _LOG = logging.getLogger(__name__)
 _NAME = re.compile(r"round-(\d{6,})\.torchrl")
 _REDUCED = "reduced"  # name of a reduced checkpoint until it replaces the full one
+
+
+class TrainingError(ValueError):
+    """An error that stops training or prevents resuming it; its message is for the user."""
+
+
+class CheckpointDamagedError(TrainingError):
+    """A run has no usable checkpoint, though it had one."""
+
+    @classmethod
+    def gone(cls, run_folder: Path) -> CheckpointDamagedError:
+        """Returns the error for a started run without a checkpoint."""
+        return cls(
+            f"{run_folder} has metrics or a result, but no checkpoint to resume from: restore its "
+            "checkpoint/, resume a copy of the folder that has it, or start a new run"
+        )
+
+
+class CheckpointMismatchError(TrainingError):
+    """A checkpoint has another seed or configuration."""
 
 
 class _TorchFile(StateDictCheckpointAdapter):

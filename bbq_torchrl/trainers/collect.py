@@ -15,7 +15,7 @@ from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl.data import ReplicaReplay
-from bbq_torchrl.trainers.errors import SpikeError, TrainingError
+from bbq_torchrl.trainers.checkpoint import TrainingError
 
 Policy = Callable[[TensorDictBase], TensorDictBase]
 
@@ -212,11 +212,11 @@ class Spike:
             max_steps: the maximum number of turns of a dialogue.
 
         Raises:
-            SpikeError: if the transitions would fill a replica's capacity.
+            TrainingError: if the transitions would fill a replica's capacity.
         """
         played = collect_dialogues(replay, env, self.policy, self.dialogues, max_steps=max_steps)
         if max(replay.lengths) >= replay.capacity:
-            raise SpikeError(
+            raise TrainingError(
                 f"the transitions of {self.dialogues} spiked dialogues must be fewer than the "
                 f"capacity {replay.capacity}: raise the capacity or spike with fewer dialogues"
             )

@@ -21,10 +21,8 @@ from bbq_torchrl.protocols import (
     UsesNumData,
     provides,
 )
-from bbq_torchrl.trainers.errors import TrainingError
+from bbq_torchrl.trainers.checkpoint import TrainingError
 from bbq_torchrl.utils.seeds import derive_seed
-
-_PENDING_UPDATES = 64  # added up at once
 
 
 def losses_of(loss: nn.Module) -> list[nn.Module]:
@@ -34,9 +32,6 @@ def losses_of(loss: nn.Module) -> list[nn.Module]:
 
 class LossSums:
     """Sums of every per-replica entry that a loss returns, over updates, on the device.
-
-    Adding a few numbers costs as much as a small matrix product, so the entries of several updates
-    are added at once. On a CPU the sums are the same bit for bit.
 
     Args:
         replicas: the number of replicas.
@@ -49,7 +44,6 @@ class LossSums:
         self._replicas = replicas
         self._names: tuple[str, ...] = ()
         self._sums: Tensor | None = None
-        self._pending: list[Tensor] = []
         self.updates = [0] * replicas
 
     def add(self, losses: TensorDictBase, batch: Batch) -> None:
@@ -81,28 +75,13 @@ class LossSums:
             self._sums = losses["loss_value"].new_zeros(
                 len(self._names), self._replicas, dtype=torch.float64
             )
-        values = [losses.get(name) for name in self._names]
+        values = torch.stack([losses.get(name).detach() for name in self._names])
         if not all(batch.active):
-            is_active = batch.transitions["valid"].any(-1)
-            values = [torch.where(is_active, value.detach(), 0.0) for value in values]
-        self._pending += values
-        if len(self._pending) >= _PENDING_UPDATES * len(self._names):
-            self._add_pending()
-
-    @torch.no_grad()
-    def _add_pending(self) -> None:
-        if self._sums is None or not self._pending:
-            return
-        values = torch.stack(self._pending).view(-1, *self._sums.shape)
-        self._pending.clear()
-        # Added one after the other: the last bits of a block sum would depend on the updates in the
-        # block.
-        rows = torch.cat([self._sums.unsqueeze(0), values.double()])
-        self._sums.copy_(rows.cumsum(0)[-1])
+            values = torch.where(batch.transitions["valid"].any(-1), values, 0.0)
+        self._sums += values
 
     def means(self) -> dict[str, list[float]]:
         """Returns means over each replica's updates, by name; waits for the device once."""
-        self._add_pending()
         assert self._sums is not None
         return {
             name: [total / updates for total, updates in zip(totals, self.updates, strict=True)]

@@ -14,7 +14,7 @@ import numpy as np
 from torch import Tensor
 from tqdm import tqdm
 
-from bbq_torchrl.trainers.errors import TrainingError
+from bbq_torchrl.trainers.checkpoint import TrainingError
 from bbq_torchrl.utils.files import csv_text, write_text
 
 MetricRow = dict[str, int | float]

@@ -24,20 +24,35 @@ from bbq_torchrl.protocols import (
     enter_round,
     modules_with,
 )
-from bbq_torchrl.trainers.checkpoint import CheckpointFolder
-from bbq_torchrl.trainers.collect import Spike, collect_dialogues
-from bbq_torchrl.trainers.errors import (
+from bbq_torchrl.trainers.checkpoint import (
     CheckpointDamagedError,
-    NonFiniteLossError,
-    RunFolderGoneError,
+    CheckpointFolder,
     TrainingError,
 )
+from bbq_torchrl.trainers.collect import Spike, collect_dialogues
 from bbq_torchrl.trainers.learn import Learner, seed_phase
 from bbq_torchrl.trainers.recording import LogsMetrics, MetricRow, MetricsFile, RoundProgress
 from bbq_torchrl.utils.files import CHECKPOINTS, METRICS
 from bbq_torchrl.utils.seeds import derive_seed
 
 _LOG = logging.getLogger(__name__)
+
+
+class NonFiniteLossError(TrainingError):
+    """A replica's loss became NaN or infinite; the training state has been saved."""
+
+
+class RunFolderGoneError(TrainingError):
+    """A run folder was moved or removed during the run."""
+
+    @classmethod
+    def check(cls, run_folder: Path) -> None:
+        """Raises the error if the folder no longer exists."""
+        if not run_folder.is_dir():
+            raise cls(
+                f"{run_folder} was moved or removed during the run: "
+                "resume=<its new path> continues from its last checkpoint"
+            )
 
 
 @dataclass(eq=False)
@@ -50,9 +65,9 @@ class RoundTrainer:
     as objects.
 
     Each phase of a round has a separate seed, derived from the run's seed and the round
-    (:func:`~bbq_torchrl.trainers.derive_seed`). So a run that is killed at any moment and resumed
-    ends, on a CPU, with bitwise the same weights and metrics as an uninterrupted one, and a replica
-    never shifts another's random numbers.
+    (:func:`~bbq_torchrl.utils.seeds.derive_seed`). So a run that is killed at any moment and
+    resumed ends, on a CPU, with bitwise the same weights and metrics as an uninterrupted one, and a
+    replica never shifts another's random numbers.
 
     :mod:`bbq_torchrl.protocols` lists the optional methods of these objects that the trainer calls.
 

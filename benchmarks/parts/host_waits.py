@@ -72,6 +72,5 @@ def drawn_as_on_a_device() -> Iterator[None]:
     with (
         patch("bbq_torchrl.bayes.posterior.fill_normal_", lambda out: out.normal_()),
         patch.object(BBQNLoss, "_cache_for", lambda loss, tensors: None),
-        patch("bbq_torchrl.trainers.learn._PENDING_UPDATES", 1),
     ):
         yield

@@ -11,7 +11,7 @@ from unittest.mock import patch
 
 import torch
 
-from bbq_torchrl.trainers import keep_freed_memory
+from bbq_torchrl.trainers.learn import keep_freed_memory
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterator

@@ -43,7 +43,7 @@ if TYPE_CHECKING:
     from torchrl.envs.transforms import Transform
 
     from bbq_torchrl.bayes.bayes_mlp import MeanInit
-    from bbq_torchrl.trainers import ReplicaOptimizer
+    from bbq_torchrl.protocols import ReplicaOptimizer
 
 ACTION = Categorical(2)
 

@@ -13,7 +13,8 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import HardUpdate
 
 from bbq_torchrl.objectives import BBQNLoss, GPLoss
-from bbq_torchrl.trainers import derive_seed, keep_freed_memory
+from bbq_torchrl.trainers.learn import keep_freed_memory
+from bbq_torchrl.utils.seeds import derive_seed
 
 if TYPE_CHECKING:
     from tensordict import NestedKey

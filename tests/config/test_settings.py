@@ -6,7 +6,7 @@ import pytest
 import yaml
 
 from bbq_torchrl.options import schemas
-from bbq_torchrl.runs.sweeps import table_of_runs
+from bbq_torchrl.runs.prepare import table_of_runs
 from bbq_torchrl.settings import (
     POSITIVE,
     SEED,

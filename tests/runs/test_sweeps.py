@@ -12,7 +12,7 @@ from result_folders import run_result
 from bbq_torchrl.evaluation.run_result import write_json
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.folders import save_config
-from bbq_torchrl.runs.sweeps import has_failed, table_of_runs
+from bbq_torchrl.runs.prepare import has_failed, table_of_runs
 
 if TYPE_CHECKING:
     from pathlib import Path

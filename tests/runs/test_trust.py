@@ -17,7 +17,7 @@ from bbq_torchrl.cli import evaluate
 from bbq_torchrl.runs.folders import is_finished, load_config, run_config, run_lock
 from bbq_torchrl.runs.train import run
 from bbq_torchrl.settings import ConfigError
-from bbq_torchrl.trainers import NonFiniteWeightsError
+from bbq_torchrl.trainers import TrainingError
 from bbq_torchrl.utils.files import LOCK, PROCESS, write_text
 from bbq_torchrl.utils.output import REFUSED
 from bbq_torchrl.utils.reports import Report, Table
@@ -110,7 +110,7 @@ def test_a_run_whose_last_step_spoils_the_weights_reports_no_result(tmp_path):
         if trainer.rounds_done == trainer.rounds:
             next(trainer.policy.parameters()).data.flatten()[0] = math.nan
 
-    with pytest.raises(NonFiniteWeightsError, match="NaN or infinite"):
+    with pytest.raises(TrainingError, match="NaN or infinite"):
         run(composed(*DQN), tmp_path / "run", [spoil])
     assert not (tmp_path / "run" / "result.json").exists()
 

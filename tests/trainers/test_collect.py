@@ -10,8 +10,16 @@ from torchrl.modules import EGreedyModule
 from trainer_parts import TURNS, GuessEnv, make_trainer, random_policy
 
 from bbq_torchrl.data import TRANSITION_KEYS, BootstrapMask, ReplicaReplay
-from bbq_torchrl.protocols import Annealed, Measured, Resampled, Seeded, modules_with, provides
-from bbq_torchrl.trainers import RoundEnv, Spike, SpikeError, episode_stats, rollout, rollouts
+from bbq_torchrl.protocols import (
+    Annealed,
+    Measured,
+    Resampled,
+    RoundEnv,
+    Seeded,
+    modules_with,
+    provides,
+)
+from bbq_torchrl.trainers import Spike, TrainingError, episode_stats, rollout, rollouts
 from bbq_torchrl.trainers.collect import collect_dialogues, rows_per_replica
 
 
@@ -160,7 +168,7 @@ def test_it_is_protected_by_default_and_evicted_otherwise(tmp_path, protect):
 def test_one_that_fills_the_capacity_is_refused(tmp_path):
     trainer = make_trainer(tmp_path, capacity=40, spike=Spike(random_policy, 80))
 
-    with pytest.raises(SpikeError):
+    with pytest.raises(TrainingError):
         trainer.train()
     assert not (tmp_path / "checkpoint").exists()
 

@@ -12,7 +12,7 @@ import torch
 
 from bbq_torchrl.options import LoggerOption, schemas
 from bbq_torchrl.settings import ConfigError
-from bbq_torchrl.trainers import MetricsFile, RoundProgress
+from bbq_torchrl.trainers.recording import MetricsFile, RoundProgress
 
 LOGGERS = schemas()["logger"]
 

@@ -17,7 +17,8 @@ from tiny import nightly, rows
 from trainer_parts import make_trainer, random_policy
 
 from bbq_torchrl.data import ReplicaReplay
-from bbq_torchrl.trainers import MetricsFile, ReplicaAdam, RoundTrainer, Spike, checkpoint
+from bbq_torchrl.trainers import ReplicaAdam, RoundTrainer, Spike, checkpoint
+from bbq_torchrl.trainers.recording import MetricsFile
 
 if TYPE_CHECKING:
     from pathlib import Path

@@ -15,7 +15,8 @@ from trainer_parts import CountingLoss, GuessEnv, make_trainer
 
 from bbq_torchrl.exploration import BatchedEGreedy
 from bbq_torchrl.options import ProtocolOption
-from bbq_torchrl.trainers import Learner, TrainingError, derive_seed
+from bbq_torchrl.trainers import Learner, TrainingError
+from bbq_torchrl.utils.seeds import derive_seed
 from bbq_torchrl.vime import vime_losses
 
 

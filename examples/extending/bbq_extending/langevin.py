@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from torchrl.objectives import LossModule
 
     from bbq_torchrl.options import Task
-    from bbq_torchrl.trainers import ReplicaOptimizer
+    from bbq_torchrl.protocols import ReplicaOptimizer
 
 
 @register
