@@ -21,7 +21,7 @@ import yaml
 ROOT = Path(__file__).resolve().parent.parent
 sys.path.insert(0, str(ROOT))  # so that `python scripts/make_movie_corpus.py` finds its own parts
 
-from bbq_torchrl.domains.folder import MOVIE_FOLDER, save_data  # noqa: E402
+from bbq_torchrl.domains.folder import SHIPPED, save_data  # noqa: E402
 from scripts.movie_corpus.dice import Dice  # noqa: E402
 from scripts.movie_corpus.goals import GoalWriter  # noqa: E402
 from scripts.movie_corpus.records import SHARES, RecordWriter, make_values  # noqa: E402
@@ -33,7 +33,7 @@ SEED = 2021
 def main() -> None:
     """Writes the three data files of the movie domain."""
     parser = argparse.ArgumentParser(description=main.__doc__)
-    parser.add_argument("--folder", type=Path, default=MOVIE_FOLDER, help="where the files go")
+    parser.add_argument("--folder", type=Path, default=SHIPPED["movie"], help="where the files go")
     write_corpus(parser.parse_args().folder)
 
 

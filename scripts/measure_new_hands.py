@@ -12,7 +12,7 @@ import tempfile
 from pathlib import Path
 
 from bbq_torchrl.domains import load_domain
-from bbq_torchrl.domains.folder import MOVIE_FOLDER
+from bbq_torchrl.domains.folder import SHIPPED
 from bbq_torchrl.people.language import Understander, read_lines
 from bbq_torchrl.people.language.measure import score
 from bbq_torchrl.people.language.training_lines import LEARNED_FILE
@@ -24,11 +24,11 @@ RESULT = Path(__file__).parents[1] / "results" / "new_hands.json"
 
 def main() -> None:
     """Trains without these writers, and writes the accuracy on each."""
-    hands = (MOVIE_FOLDER / LEARNED_FILE).read_text("utf-8").split(_BEGINS)
+    hands = (SHIPPED["movie"] / LEARNED_FILE).read_text("utf-8").split(_BEGINS)
     found = {}
     with tempfile.TemporaryDirectory() as made:
         folder = Path(made) / "movie"
-        shutil.copytree(MOVIE_FOLDER, folder)
+        shutil.copytree(SHIPPED["movie"], folder)
         file = folder / LEARNED_FILE
         domain = load_domain(folder)
         for start in (0, 1):

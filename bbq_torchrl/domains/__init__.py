@@ -4,30 +4,15 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.domains.domain import REQUIRED_ACTS, Action, Domain, Goal, ScriptedPolicySpec
-from bbq_torchrl.domains.folder import load_domain, movie_domain, save_data, shipped_domain
+from bbq_torchrl.domains.domain import Action, Domain, Goal, ScriptedPolicySpec
+from bbq_torchrl.domains.folder import load_domain, movie_domain, shipped_domain
 from bbq_torchrl.domains.miulab import load_miulab
-from bbq_torchrl.domains.values import (
-    AVAILABLE,
-    DONT_CARE,
-    FIRST_VALUE,
-    NO_MATCH,
-    NONE,
-    RESERVED_TEXT,
-    fold,
-)
+from bbq_torchrl.domains.values import fold
 
 if TYPE_CHECKING:
     from bbq_torchrl.domains.tensors import DomainTensors, build_vocabulary, tensorize
 
 __all__ = [
-    "AVAILABLE",
-    "DONT_CARE",
-    "FIRST_VALUE",
-    "NONE",
-    "NO_MATCH",
-    "REQUIRED_ACTS",
-    "RESERVED_TEXT",
     "Action",
     "Domain",
     "DomainTensors",
@@ -38,7 +23,6 @@ __all__ = [
     "load_domain",
     "load_miulab",
     "movie_domain",
-    "save_data",
     "shipped_domain",
     "tensorize",
 ]

@@ -124,8 +124,7 @@ class Domain:
         free_slots: slots that never constrain the records, such as the number of people.
         ticket_slot: the slot that every user requests: the booking itself.
         complete_slot: the slot whose inform offers a booking.
-        opening_slot: the slot or slots informed in every first turn if the goal constrains them,
-            or ``None``.
+        opening_slots: the slots informed in every first turn if the goal constrains them.
         turn_width: length of the one-hot turn feature.
         policies: scripted policies by name.
         reference_slot_error_prob: the slot error probability that makes the domain as difficult
@@ -153,7 +152,7 @@ class Domain:
     free_slots: tuple[str, ...]
     ticket_slot: str
     complete_slot: str
-    opening_slot: str | tuple[str, ...] | None
+    opening_slots: tuple[str, ...]
     turn_width: int
     policies: Mapping[str, ScriptedPolicySpec]
     reference_slot_error_prob: float
@@ -172,12 +171,6 @@ class Domain:
     def special_slots(self) -> tuple[str, str]:
         """The ticket and the complete slot, which take reserved values only."""
         return (self.ticket_slot, self.complete_slot)
-
-    @property
-    def opening_slots(self) -> tuple[str, ...]:
-        """The slots informed in every first turn if the goal constrains them."""
-        opening = self.opening_slot
-        return opening if isinstance(opening, tuple) else () if opening is None else (opening,)
 
     @cached_property
     def action_names(self) -> tuple[str, ...]:
@@ -325,16 +318,14 @@ def _fields(domain: Domain) -> Iterator[tuple[str, str]]:
             if (slot := getattr(domain, key)) not in (members := getattr(domain, group)):
                 yield key, f"{key} must be among {group}, {slot!r} is not in {list(members)}"
     if wrong := {*domain.opening_slots} & {*domain.special_slots}:
-        yield "opening_slot", f"opening_slot must be an ordinary slot, got {sorted(wrong)}"
+        yield "opening_slots", f"opening_slots must be ordinary slots, got {sorted(wrong)}"
 
 
 def _names(domain: Domain) -> Iterator[tuple[str, str]]:
     """Yields the faults of lists of names."""
-    lists = {
-        key: getattr(domain, key)
-        for key in ("acts", "slots", "essential", "extension_order", "free_slots")
-    } | {"opening_slot": domain.opening_slots, "actions": domain.action_names}
-    for key, names in lists.items():
+    lists = ("acts", "slots", "essential", "extension_order", "free_slots", "opening_slots")
+    for key in (*lists, "actions"):
+        names = list(map(str, getattr(domain, key)))
         if twice := _repeated(names):
             yield key, f"{key} must be distinct, got {twice} more than once"
         if key not in ("acts", "slots", "actions"):

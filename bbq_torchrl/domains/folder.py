@@ -58,8 +58,6 @@ VALUES_FILE = "values.json"
 SHIPPED = {name: Path(__file__).parent / name for name in ("movie", "hotel", "restaurant")}
 """Domain that comes with the package -> its folder."""
 
-MOVIE_FOLDER = SHIPPED["movie"]
-
 Corpus = dict[str, dict[Any, Any]]
 """The fields ``records``, ``goals`` and ``error_values``, each entry by its line, row or slot."""
 
@@ -253,9 +251,11 @@ def fields_of(content: Mapping[str, Any]) -> dict[str, Any]:
     for kind in ACTION_KINDS[1:]:
         acts += [Action(kind, slot) for slot in content["actions"].get(kind, [])]
     fields = vars(_Specification(**content))
+    opening = fields.pop("opening_slot") or ()
     return {
         **{key: tuple(item) if isinstance(item, list) else item for key, item in fields.items()},
         "actions": tuple(acts),
+        "opening_slots": (opening,) if isinstance(opening, str) else tuple(opening),
         "policies": {
             str(name): ScriptedPolicySpec(policy["kind"], tuple(policy["steps"]))
             for name, policy in content["policies"].items()

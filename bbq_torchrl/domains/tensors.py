@@ -1,4 +1,8 @@
-"""A domain as tensors of ids, for the batched simulator."""
+"""A domain as tensors of ids, for the batched simulator, and choices by index.
+
+Nothing here draws. The uniform numbers come from the environment's generator, so equal numbers give
+equal choices.
+"""
 
 from __future__ import annotations
 
@@ -163,3 +167,66 @@ def tensorize(domain: Domain) -> DomainTensors:
         error_count=error_count,
         vocabulary=vocabulary,
     )
+
+
+# -- choices by index, and rows of tables ------------------------------------------------------
+
+
+def index_below(uniform: Tensor, count: Tensor | int) -> Tensor:
+    """Chooses an index below ``count``, ``floor(uniform * count)``. Returns long, same shape.
+
+    Args:
+        uniform: float32 in [0, 1).
+        count: the number of choices, at least 0; 0 gives 0.
+
+    Examples:
+        >>> index_below(torch.tensor([0.0, 0.49, 0.99]), 2)
+        tensor([0, 0, 1])
+    """
+    # In float32 the product can round up to count itself.
+    return (uniform.double() * count).long()
+
+
+def pick_slot(pool: Tensor, uniform: Tensor) -> Tensor:
+    """Chooses a slot of each set with equal probability. Returns one-hot flags, bool ``[*B, S]``.
+
+    The slot with the largest number wins; ties go to the lowest slot. An empty set has no flag.
+
+    Args:
+        pool: bool ``[*B, S]``, the slots to choose from.
+        uniform: float32 ``[*B, S]`` in [0, 1).
+
+    Examples:
+        >>> pick_slot(torch.tensor([True, False, True]), torch.tensor([0.2, 0.9, 0.3]))
+        tensor([False, False,  True])
+    """
+    return one_hot(torch.where(pool, uniform, -1.0).argmax(-1), pool.shape[-1]) & pool
+
+
+def one_hot(index: Tensor, count: int) -> Tensor:
+    """Returns one-hot flags of an index, bool ``[*B, count]``; a negative index has no flag.
+
+    Examples:
+        >>> one_hot(torch.tensor([1, -1]), 3)
+        tensor([[False,  True, False],
+                [False, False, False]])
+    """
+    return index[..., None] == torch.arange(count, device=index.device)
+
+
+def rows(table: Tensor, index: Tensor) -> Tensor:
+    """Returns ``table[index]``, shape ``[*B, *row]``.
+
+    On the CPU this copies whole rows, about five times as fast as advanced indexing.
+
+    Args:
+        table: ``[n, *row]``.
+        index: long ``[*B]``, in [0, n).
+
+    Examples:
+        >>> rows(torch.tensor([[1, 2], [3, 4]]), torch.tensor([1, 0, 1]))
+        tensor([[3, 4],
+                [1, 2],
+                [3, 4]])
+    """
+    return table.index_select(0, index.reshape(-1)).view(*index.shape, *table.shape[1:])

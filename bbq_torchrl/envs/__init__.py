@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from bbq_torchrl.envs.dialogue import DialogueEnv, EnvState
-from bbq_torchrl.envs.extension import ExtensionSchedule
+from bbq_torchrl.envs.dialogue import DialogueEnv, EnvState, ExtensionSchedule
 from bbq_torchrl.envs.policies import (
     CarefulPolicy,
     ClairvoyantPolicy,

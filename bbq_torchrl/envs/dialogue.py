@@ -1,9 +1,10 @@
-"""The dialogue environment: the simulator as a TorchRL environment."""
+"""The dialogue environment: the simulator as a TorchRL environment, and domain extension."""
 
 from __future__ import annotations
 
 import os
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from operator import index
 from typing import Any, SupportsIndex
 
@@ -13,11 +14,9 @@ from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase, Transform
 
 from bbq_torchrl.domains import Domain, tensorize
-from bbq_torchrl.envs.extension import ExtensionSchedule
 from bbq_torchrl.simulator import (
     Channel,
     ErrorModel,
-    FeatureLayout,
     Rewards,
     Simulator,
     SlotErrorMode,
@@ -26,6 +25,70 @@ from bbq_torchrl.simulator.profiles import Users
 from bbq_torchrl.utils.seeds import checked_seed, seed_of_process, unshared_seed
 
 _LOADED = 0  # in place of a process: the state is that of an environment that nobody seeded
+
+
+@dataclass(frozen=True)
+class ExtensionSchedule:
+    """A schedule that starts with a domain's essential slots and adds others one at a time.
+
+    Lipton et al. (2018) train 40 rounds on the essential slots and then add a slot every 10 rounds.
+    The domain's ``extension_order`` has the order.
+
+    Args:
+        start: the round, counted from 0, that adds the first slot.
+        every: rounds from one addition to the next.
+
+    Raises:
+        ValueError: if ``start`` is below 0 or ``every`` below 1.
+
+    Examples:
+        >>> from bbq_torchrl.domains import movie_domain
+        >>> schedule = ExtensionSchedule(start=40, every=10)
+        >>> len(schedule.active(movie_domain(), 39))
+        8
+        >>> "genre" in schedule.active(movie_domain(), 40)
+        True
+    """
+
+    start: int = 40
+    every: int = 10
+
+    def __post_init__(self) -> None:
+        if self.start < 0:
+            raise ValueError(f"start must be a round from 0 on, got {self.start}")
+        if self.every < 1:
+            raise ValueError(f"every must be at least 1 round, got {self.every}")
+
+    def active(self, domain: Domain, round: int) -> tuple[str, ...]:
+        """Returns the slots active in a round, in the order of the domain's slots.
+
+        Args:
+            domain: the domain.
+            round: the round, counted from 0.
+        """
+        added = {slot for start, slot in self.additions(domain).items() if start <= round}
+        return tuple(slot for slot in domain.slots if slot in added or slot in domain.essential)
+
+    def never_active(self, domain: Domain) -> tuple[str, ...]:
+        """Returns the slots that no round activates; goals are restricted to the others.
+
+        Raises:
+            ValueError: if the agent has actions for one of them, which could never be played.
+        """
+        active = {*domain.essential, *domain.extension_order}
+        never = tuple(slot for slot in domain.slots if slot not in active)
+        dead = [slot for slot in never if any(action.slot == slot for action in domain.actions)]
+        if dead:
+            raise ValueError(
+                f"domain extension would never activate {', '.join(dead)}, for which the agent has "
+                f"actions: domain {domain.name!r} must have them in essential or in extension_order"
+            )
+        return never
+
+    def additions(self, domain: Domain) -> dict[int, str]:
+        """Returns the added slot by round."""
+        order = enumerate(domain.extension_order)
+        return {self.start + index * self.every: slot for index, slot in order}
 
 
 class DialogueEnv(EnvBase):
@@ -79,6 +142,12 @@ class DialogueEnv(EnvBase):
         users: the name of a mix of users (``"people"``), or its
             :class:`profiles <bbq_torchrl.simulator.Profile>`.
 
+    Attributes:
+        layout: the layout of the observation's features.
+        max_agent_turns: the largest number of agent turns in a dialogue.
+        round: the domain extension's round of training.
+        active_slots: the slots active in this round, bool ``[S]``.
+
     Raises:
         ValueError: if a setting is out of range, the schedule never adds a slot that the agent has
             actions for, or the device is absent.
@@ -126,6 +195,7 @@ class DialogueEnv(EnvBase):
             tensors, errors=channel, rewards=rewards, max_turn=max_turn, users=users
         )
         self.simulator = simulator.to(self.device)
+        self.layout, self.max_agent_turns = simulator.layout, simulator.max_agent_turns
         self._dialogues: TensorDict | None = None
         self._generator = torch.Generator(self.device)
         self._set_seed(seed)
@@ -135,24 +205,9 @@ class DialogueEnv(EnvBase):
     # -- properties ------------------------------------------------------------------------------
 
     @property
-    def layout(self) -> FeatureLayout:
-        """The layout of the observation's features."""
-        return self.simulator.layout
-
-    @property
-    def round(self) -> int:
-        """The domain extension's round of training."""
-        return self._round
-
-    @property
-    def active_slots(self) -> torch.Tensor:
-        """The slots active in this round, bool ``[S]``."""
-        return self._active
-
-    @property
     def active_features(self) -> torch.Tensor:
         """The features that can differ from 0 in this round, bool ``[F]``."""
-        return self.layout.active(self._active)
+        return self.layout.active(self.active_slots)
 
     @property
     def dialogues(self) -> TensorDict:
@@ -164,11 +219,6 @@ class DialogueEnv(EnvBase):
         if self._dialogues is None:
             raise RuntimeError("no dialogue has started yet: call reset() first")
         return self._dialogues
-
-    @property
-    def max_agent_turns(self) -> int:
-        """The largest number of agent turns in a dialogue."""
-        return self.simulator.max_agent_turns
 
     def set_round(self, round: int) -> None:
         """Enters a round of training, which activates the slots of the domain extension.
@@ -185,12 +235,12 @@ class DialogueEnv(EnvBase):
         """
         if round < 0:
             raise ValueError(f"round must be 0 or later, got {round}")
-        self._round = index(round)
+        self.round = index(round)
         slots = self.domain.slots
         schedule = self.schedule
-        active = slots if schedule is None else schedule.active(self.domain, self._round)
-        self._active = torch.tensor([slot in active for slot in slots], device=self.device)
-        legal = self.simulator.action_mask(self._active)
+        active = slots if schedule is None else schedule.active(self.domain, self.round)
+        self.active_slots = torch.tensor([slot in active for slot in slots], device=self.device)
+        legal = self.simulator.action_mask(self.active_slots)
         self._action_mask = legal.expand(*self.batch_size, -1)
         # rand_action draws from the spec, whose mask keeps random actions legal.
         self.action_spec = Categorical(
@@ -265,11 +315,11 @@ class DialogueEnv(EnvBase):
         draws = self.simulator.draw_reset(self.batch_size, self._generator)
         if goal_id is not None:  # replaces the drawn number by one that selects this goal
             draws["goal"].fill_((goal_id + 0.5) / goals)
-        started = self.simulator.reset(draws, self._active)
+        started = self.simulator.reset(draws, self.active_slots)
         if which is not None and self._dialogues is not None:
             started = started.where(which.view(self.batch_size), self._dialogues)
         self._dialogues = started
-        return self._emit(started, self.simulator.observe(started, self._active))
+        return self._emit(started, self.simulator.observe(started, self.active_slots))
 
     def _draw_seed(self) -> int:
         generator = self._generator
@@ -279,13 +329,13 @@ class DialogueEnv(EnvBase):
         dialogues = self.dialogues
         if bool(dialogues["done"].any()):
             raise ValueError("resume=True needs dialogues in progress, got some that have ended")
-        return self._emit(dialogues, self.simulator.observe(dialogues, self._active))
+        return self._emit(dialogues, self.simulator.observe(dialogues, self.active_slots))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         before, count = self.dialogues, len(self.domain.actions)
         action = _indices(tensordict["action"], self.batch_size, count)
         draws = self.simulator.draw_turn(self.batch_size, self._generator)
-        after = self.simulator.turn(before, action, draws, self._active)
+        after = self.simulator.turn(before, action, draws, self.active_slots)
         which = tensordict.get("_step", None)
         if which is not None:
             is_played = which.view(self.batch_size) | before["done"]  # ended ones stay as they are
@@ -293,7 +343,7 @@ class DialogueEnv(EnvBase):
                 reward = torch.where(is_played, after["reward"], 0.0)
                 after = after.where(is_played, before).set("reward", reward)
         self._dialogues = after
-        emitted = self._emit(after, self.simulator.observe(after, self._active))
+        emitted = self._emit(after, self.simulator.observe(after, self.active_slots))
         emitted["reward"] = self._dialogues["reward"][..., None].clone()
         return emitted
 
@@ -331,7 +381,7 @@ class DialogueEnv(EnvBase):
             self.simulator = self.simulator.to(self.device)
             if self._dialogues is not None:
                 self._dialogues = self._dialogues.to(self.device)
-            self.set_round(self._round)
+            self.set_round(self.round)
         return self
 
     def get_extra_state(self) -> dict[str, Any]:
@@ -342,7 +392,7 @@ class DialogueEnv(EnvBase):
             "dialogues": None if dialogues is None else dialogues.clone().to_dict(),
             "generator": self._generator.get_state(),
             "seeded": self._unseeded_in is None,
-            "round": self._round,
+            "round": self.round,
         }
 
     def set_extra_state(self, state: dict[str, Any]) -> None:

@@ -8,7 +8,6 @@ installed packages for environments, but imports the module by itself for the id
 
 from __future__ import annotations
 
-import os
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +22,7 @@ from bbq_torchrl.domains import Domain, load_domain, movie_domain
 from bbq_torchrl.envs.dialogue import DialogueEnv
 from bbq_torchrl.simulator import Transcript
 from bbq_torchrl.simulator.features import COUNT_SCALE, TURN_SCALE
-from bbq_torchrl.utils.seeds import LARGEST_SEED, checked_seed, seed_of_process
+from bbq_torchrl.utils.seeds import checked_seed
 
 if TYPE_CHECKING:
     from typing import TypeAlias
@@ -95,8 +94,6 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
         self.render_mode = render_mode
         self._dialogue = DialogueEnv(domain, batch_size=(), **settings)
         self._transcript = Transcript(self._dialogue.simulator.domain)
-        # The process that a drawn seed is for; None if the caller gave the seed.
-        self._unseeded_in = 0 if settings.get("seed") is None else None
         self._is_over = True
         self.action_space = Discrete(len(domain.actions))
         self._mask_in_observation = mask_in_observation
@@ -139,13 +136,10 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
             ValueError: if the seed is not from 0 to 2**63 - 1, or an option is unknown or invalid.
         """
         if seed is not None:
-            seed, self._unseeded_in = checked_seed(seed), None
+            seed = checked_seed(seed)
         if not {*(options or ())} <= {"goal_id"}:
             raise ValueError(f"options must have no key but 'goal_id', got {[*(options or ())]}")
         super().reset(seed=seed)
-        if self._unseeded_in not in (None, os.getpid()):
-            seed = seed_of_process(int(self.np_random.integers(LARGEST_SEED)))
-            self._unseeded_in = os.getpid()
         if seed is not None:
             self._dialogue.set_seed(seed)
         started = self._dialogue.reset(**(options or {}))

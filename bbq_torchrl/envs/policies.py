@@ -14,7 +14,7 @@ from bbq_torchrl.domains import Domain
 from bbq_torchrl.domains.domain import PRIVILEGED_POLICY, RANDOM_POLICY
 from bbq_torchrl.domains.values import DONT_CARE, NONE
 from bbq_torchrl.envs.repair import RepairPolicy, indices
-from bbq_torchrl.simulator.choices import pack, popcount
+from bbq_torchrl.simulator.knowledge_base import pack, popcount
 
 
 class ClairvoyantPolicy(TensorDictModuleBase):

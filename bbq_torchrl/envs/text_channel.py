@@ -16,13 +16,13 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.domain import RANDOM_POLICY
 from bbq_torchrl.domains.frames import Coding
+from bbq_torchrl.domains.tensors import index_below
 from bbq_torchrl.envs.dialogue import DialogueEnv
 from bbq_torchrl.envs.policies import scripted_policy
 from bbq_torchrl.people.language import Frame, Generator, TextError, Understood
 from bbq_torchrl.people.language.asking import Asking, repeated
 from bbq_torchrl.people.language.understander import cached_understander
 from bbq_torchrl.simulator import Utterance
-from bbq_torchrl.simulator.choices import index_below
 from bbq_torchrl.simulator.measured_errors import ERRORS_FILE, ErrorCounter
 from bbq_torchrl.utils.files import write_text
 from bbq_torchrl.utils.seeds import checked_seed
@@ -251,21 +251,7 @@ def _play(
 
 
 def save_errors(folder: Path, counts: Mapping[str, Any]) -> Path:
-    """Writes counts into a domain's folder: JSON with a line for each row of the tables."""
+    """Writes counts as JSON into a domain's folder."""
     file = folder / ERRORS_FILE
-    write_text(file, f"{_lines(counts, 0)}\n")
+    write_text(file, json.dumps(counts, ensure_ascii=False, indent=1) + "\n")
     return file
-
-
-def _lines(content: Any, depth: int) -> str:
-    is_row = not isinstance(content, dict) or not any(
-        isinstance(value, dict) for value in content.values()
-    )
-    if is_row:
-        return json.dumps(content, ensure_ascii=False)
-    pad = " " * (depth + 1)
-    rows = (
-        f"{pad}{json.dumps(key, ensure_ascii=False)}: {_lines(value, depth + 1)}"
-        for key, value in content.items()
-    )
-    return "{\n" + ",\n".join(rows) + "\n" + " " * depth + "}"

@@ -9,10 +9,9 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from bbq_torchrl.domains import DomainTensors
-from bbq_torchrl.domains.tensors import Movable
+from bbq_torchrl.domains.tensors import Movable, index_below
 from bbq_torchrl.domains.values import NONE
 from bbq_torchrl.settings import PROBABILITY, check, one_of
-from bbq_torchrl.simulator.choices import index_below
 from bbq_torchrl.simulator.tracker import AgentTurn, Utterance
 
 SlotErrorMode = Literal["value", "slot", "delete", "mixed"]

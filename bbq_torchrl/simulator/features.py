@@ -10,10 +10,9 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from bbq_torchrl.domains import DomainTensors
-from bbq_torchrl.domains.tensors import Movable
+from bbq_torchrl.domains.tensors import Movable, one_hot, rows
 from bbq_torchrl.domains.values import NONE
 from bbq_torchrl.settings import REWARD, check
-from bbq_torchrl.simulator.choices import one_hot, rows
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 
 TURN_SCALE = 10.0  # acts; keeps the turn feature near the size of the flags

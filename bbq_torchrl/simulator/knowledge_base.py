@@ -1,4 +1,4 @@
-"""The knowledge base: matching records and their most frequent values."""
+"""The knowledge base: matching records as sets of bits, and their most frequent values."""
 
 from __future__ import annotations
 
@@ -8,12 +8,17 @@ import torch
 from torch import Tensor
 
 from bbq_torchrl.domains import DomainTensors
-from bbq_torchrl.domains.tensors import Movable
+from bbq_torchrl.domains.tensors import Movable, rows
 from bbq_torchrl.domains.values import DONT_CARE, FIRST_VALUE, NO_MATCH, NONE
-from bbq_torchrl.simulator.choices import WORD_BITS, byte_counts, pack, popcount, rows
 
+WORD_BITS = 64
 _BYTE_BITS = 8
 _WORD_BYTES = WORD_BITS // _BYTE_BITS
+_TOP_BYTE = WORD_BITS - _BYTE_BITS
+_PAIRS = 0x5555555555555555
+_QUADS = 0x3333333333333333
+_BYTES = 0x0F0F0F0F0F0F0F0F
+_ONES = 0x0101010101010101
 # Flags (a byte each) ordered and packed at a time during construction. All at once, a hundred
 # thousand records would take a gigabyte.
 _BUILD_BLOCK = 2**22
@@ -240,3 +245,60 @@ def _intersect(sets: Tensor, chosen: Tensor) -> Tensor:
     for column in by_slot[1:]:
         words &= sets.index_select(0, column)
     return words.view(*chosen.shape[:-1], sets.shape[-1])
+
+
+# -- sets of records as bits ------------------------------------------------------------------
+
+
+def pack(members: Tensor) -> Tensor:
+    """Packs membership flags into words. Returns int64 ``[*batch, ceil(rows / 64)]``.
+
+    Args:
+        members: bool ``[*batch, rows]``. Row ``r`` becomes bit ``r % 8`` of byte ``r // 8`` of the
+            words' memory.
+
+    Examples:
+        >>> pack(torch.tensor([True, False, True]))
+        tensor([5])
+    """
+    padded = torch.nn.functional.pad(members, (0, -members.shape[-1] % WORD_BITS))
+    first, *rest = padded.to(torch.uint8).unflatten(-1, (-1, _BYTE_BITS)).unbind(-1)
+    packed = first.contiguous()
+    for bit, flags in enumerate(rest, start=1):
+        packed |= flags << bit
+    return packed.view(torch.int64)
+
+
+def _counts_in_bytes(words: Tensor) -> Tensor:
+    """Returns words in which each byte is the number of bits set in that byte of ``words``."""
+    # Bits are added in pairs, in fours, then in bytes. The masks also remove the sign bits that >>
+    # shifts in.
+    words = words - ((words >> 1) & _PAIRS)
+    words = (words & _QUADS) + ((words >> 2) & _QUADS)
+    return (words + (words >> 4)) & _BYTES
+
+
+def popcount(words: Tensor) -> Tensor:
+    """Counts the members of each packed set. Returns long ``[*batch]``.
+
+    Args:
+        words: int64 ``[*batch, W]``.
+
+    Examples:
+        >>> popcount(torch.tensor([[5, -1]]))
+        tensor([66])
+    """
+    return ((_counts_in_bytes(words) * _ONES) >> _TOP_BYTE).sum(-1)
+
+
+def byte_counts(words: Tensor) -> Tensor:
+    """Counts the members in each byte of each packed set. Returns uint8 ``[*batch, 8 * W]``.
+
+    Args:
+        words: int64 ``[*batch, W]``.
+
+    Examples:
+        >>> byte_counts(torch.tensor([0x0301]))
+        tensor([1, 2, 0, 0, 0, 0, 0, 0], dtype=torch.uint8)
+    """
+    return _counts_in_bytes(words).view(torch.uint8)

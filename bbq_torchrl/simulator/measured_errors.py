@@ -15,9 +15,8 @@ from torch.nn.utils.rnn import pad_sequence
 
 from bbq_torchrl.domains import Domain, DomainTensors
 from bbq_torchrl.domains.frames import Coding, Frame
-from bbq_torchrl.domains.tensors import Movable, tensorize
+from bbq_torchrl.domains.tensors import Movable, one_hot, rows, tensorize
 from bbq_torchrl.domains.values import NONE, fold, value_ids
-from bbq_torchrl.simulator.choices import one_hot, rows
 from bbq_torchrl.simulator.error_model import ABOVE_IDS, Channel
 from bbq_torchrl.simulator.tracker import AgentTurn, Utterance
 from bbq_torchrl.utils.text import shown

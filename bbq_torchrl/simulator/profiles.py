@@ -12,7 +12,7 @@ from tensordict import TensorDict, TensorDictBase
 from torch import Tensor
 
 from bbq_torchrl.domains import DomainTensors
-from bbq_torchrl.domains.tensors import Movable
+from bbq_torchrl.domains.tensors import Movable, index_below, rows
 from bbq_torchrl.domains.values import DONT_CARE, NONE
 from bbq_torchrl.settings import (
     ABOVE_ZERO_TO_ONE,
@@ -26,7 +26,6 @@ from bbq_torchrl.settings import (
     optional,
     setting,
 )
-from bbq_torchrl.simulator.choices import index_below, rows
 
 HABITS = ("insists", "asks_late", "confirms", "changes_mind", "withholds", "explains")
 """The keys of a :class:`Profile` that are probabilities."""

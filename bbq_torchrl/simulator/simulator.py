@@ -15,7 +15,7 @@ from bbq_torchrl.domains.tensors import Movable
 from bbq_torchrl.domains.values import NO_MATCH, NONE
 from bbq_torchrl.settings import check, integers
 from bbq_torchrl.simulator.error_model import Channel, ErrorModel
-from bbq_torchrl.simulator.features import FeatureLayout, Features, Rewards
+from bbq_torchrl.simulator.features import Features, Rewards
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 from bbq_torchrl.simulator.profiles import Mix, Users, profiles_of
 from bbq_torchrl.simulator.tracker import AgentTurn, Tracker, Utterance
@@ -74,6 +74,10 @@ class Simulator(Movable):
             :class:`profiles <bbq_torchrl.simulator.Profile>`. Users that differ have their traits
             in the state's entry ``traits``.
 
+    Attributes:
+        layout: the layout of the features.
+        max_agent_turns: the largest number of agent turns in a dialogue; the last of them fails.
+
     Raises:
         ValueError: if ``max_turn`` is not a whole number of at least 2, the mix is invalid, or it
             has error rates by slot and the channel is not an error model.
@@ -88,38 +92,26 @@ class Simulator(Movable):
         max_turn: int = 40,
         users: Users = "paper",
     ) -> None:
+        self.domain = domain
         self.rewards = Rewards() if rewards is None else rewards
         self.max_turn = check("max_turn", max_turn, integers(_ACTS_PER_TURN))
-        device, on_cpu = domain.records.device, domain.to("cpu")
-        knowledge_base = KnowledgeBase(on_cpu).to(device)
-        errors = ErrorModel(domain) if errors is None else errors
-        profiles = profiles_of(users)
-        mix = Mix(on_cpu, profiles).to(device) if profiles else None
-        if mix is not None and mix.has_rates and not isinstance(errors, ErrorModel):
+        self.max_agent_turns = max_turn // _ACTS_PER_TURN + 1
+        on_cpu, profiles = domain.to("cpu"), profiles_of(users)
+        self.knowledge_base = KnowledgeBase(on_cpu).to(self.device)
+        self.errors = ErrorModel(domain) if errors is None else errors
+        self.mix = mix = Mix(on_cpu, profiles).to(self.device) if profiles else None
+        if mix is not None and mix.has_rates and not isinstance(self.errors, ErrorModel):
             raise ValueError("users with slot_error_prob need a channel that is an ErrorModel")
-        self.domain = domain
-        self.knowledge_base = knowledge_base
-        self.errors = errors
-        self.mix = mix
         self.user = User(domain) if mix is None else MixedUser(domain, mix)
-        self.tracker = Tracker(domain, knowledge_base)
-        self.features = Features(domain, knowledge_base)
+        self.tracker = Tracker(domain, self.knowledge_base)
+        self.features = Features(domain, self.knowledge_base)
+        self.layout = self.features.layout
         self._is_ticket = torch.arange(domain.n_slots, device=self.device) == domain.ticket
 
     @property
     def device(self) -> torch.device:
         """The device of the simulator's tensors."""
         return self.domain.records.device
-
-    @property
-    def layout(self) -> FeatureLayout:
-        """The layout of the features."""
-        return self.features.layout
-
-    @property
-    def max_agent_turns(self) -> int:
-        """The largest number of agent turns in a dialogue; the last of them fails."""
-        return self.max_turn // _ACTS_PER_TURN + 1
 
     def action_mask(self, active: Tensor) -> Tensor:
         """Returns the legal actions, bool ``[N]``: slotless acts and actions of active slots.

@@ -8,9 +8,8 @@ import torch
 from torch import Tensor
 
 from bbq_torchrl.domains import DomainTensors
-from bbq_torchrl.domains.tensors import Movable
+from bbq_torchrl.domains.tensors import Movable, index_below, one_hot, rows
 from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, NONE
-from bbq_torchrl.simulator.choices import index_below, one_hot, rows
 from bbq_torchrl.simulator.knowledge_base import KnowledgeBase
 
 

@@ -7,9 +7,8 @@ from tensordict import TensorDictBase
 from torch import Tensor
 
 from bbq_torchrl.domains import DomainTensors
-from bbq_torchrl.domains.tensors import Movable
+from bbq_torchrl.domains.tensors import Movable, index_below, pick_slot, rows
 from bbq_torchrl.domains.values import DONT_CARE, NO_MATCH, NONE
-from bbq_torchrl.simulator.choices import index_below, pick_slot, rows
 from bbq_torchrl.simulator.profiles import Mix
 from bbq_torchrl.simulator.tracker import AgentTurn
 

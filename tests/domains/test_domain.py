@@ -6,20 +6,16 @@ from dataclasses import fields, replace
 import pytest
 import torch
 
-from bbq_torchrl.domains import (
+from bbq_torchrl.domains import Action, Goal, ScriptedPolicySpec, fold, tensorize
+from bbq_torchrl.domains.domain import DomainError
+from bbq_torchrl.domains.values import (
     AVAILABLE,
     DONT_CARE,
     FIRST_VALUE,
     NO_MATCH,
     NONE,
     RESERVED_TEXT,
-    Action,
-    Goal,
-    ScriptedPolicySpec,
-    fold,
-    tensorize,
 )
-from bbq_torchrl.domains.domain import DomainError
 
 REQUESTED = [
     *("moviename", "theater", "starttime", "date", "numberofpeople", "genre", "state", "city"),
@@ -92,9 +88,9 @@ FAULTS = [
     ("ticket_slot", "area", "among free_slots, 'area'"),
     ("ticket_slot", "phone", "among essential, 'phone'"),
     ("complete_slot", "table", "'table' for both"),
-    ("opening_slot", ("cuisine", "zip"), "'zip'"),
-    ("opening_slot", ("cuisine", "cuisine"), "distinct, got ['cuisine']"),
-    ("opening_slot", "table", "['table']"),
+    ("opening_slots", ("cuisine", "zip"), "'zip'"),
+    ("opening_slots", ("cuisine", "cuisine"), "distinct, got ['cuisine']"),
+    ("opening_slots", ("table",), "['table']"),
     ("actions", (*ACTIONS, ACTIONS[-1]), "distinct, got ['inform(booking)']"),
     ("actions", ACTIONS[::-1], "slotless acts, then requests"),
     ("actions", ACTIONS[:-1], "must contain inform(booking)"),

@@ -8,7 +8,8 @@ from dataclasses import replace
 import pytest
 from hypothesis import assume, given, settings, strategies as st
 
-from bbq_torchrl.domains import Goal, load_domain, save_data
+from bbq_torchrl.domains import Goal, load_domain
+from bbq_torchrl.domains.folder import save_data
 from bbq_torchrl.domains.values import misspellings, plain
 from bbq_torchrl.people.language.phrases import load_phrases
 from bbq_torchrl.people.language.training_lines import lines_of

@@ -7,7 +7,8 @@ import pytest
 from tiny import TINY
 
 from bbq_torchrl.cli import calibrate
-from bbq_torchrl.domains import REQUIRED_ACTS, Goal, load_domain
+from bbq_torchrl.domains import Goal, load_domain
+from bbq_torchrl.domains.domain import REQUIRED_ACTS
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
 from bbq_torchrl.evaluation.rollouts import evaluate
 from bbq_torchrl.runs.build import find_spike_policy

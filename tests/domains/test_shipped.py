@@ -8,8 +8,8 @@ import pytest
 
 from bbq_torchrl.cli.evaluate import composed, evaluation
 from bbq_torchrl.domains import fold, load_miulab, shipped_domain
-from bbq_torchrl.domains.folder import GOALS_FILE, MOVIE_FOLDER, RECORDS_FILE, VALUES_FILE
-from bbq_torchrl.options.env import DomainExtension
+from bbq_torchrl.domains.folder import GOALS_FILE, RECORDS_FILE, SHIPPED, VALUES_FILE
+from bbq_torchrl.envs import ExtensionSchedule
 
 NAMES = ("hotel", "restaurant")
 
@@ -47,7 +47,7 @@ def test_policies_that_know_more_succeed_more_often(name):
 
 @pytest.mark.parametrize("name", NAMES)
 def test_domain_extension_adds_every_slot(name):
-    assert not DomainExtension().inactive_slots(shipped_domain(name))
+    assert not ExtensionSchedule().never_active(shipped_domain(name))
 
 
 SCRIPT = Path(__file__).parents[2] / "scripts" / "make_movie_corpus.py"
@@ -106,7 +106,7 @@ def records_for(domain, goal):
 def test_the_shipped_files_are_what_the_script_writes(tmp_path):
     runpy.run_path(str(SCRIPT))["write_corpus"](tmp_path)
     for name in (RECORDS_FILE, GOALS_FILE, VALUES_FILE):
-        assert (tmp_path / name).read_bytes() == (MOVIE_FOLDER / name).read_bytes(), name
+        assert (tmp_path / name).read_bytes() == (SHIPPED["movie"] / name).read_bytes(), name
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from bbq_torchrl.bayes import BayesConv2d
 from bbq_torchrl.data import BootstrapMask, ReplicaReplay
 from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, SequencePolicy
 from bbq_torchrl.envs.text_channel import count_errors
-from bbq_torchrl.trainers import derive_seed
+from bbq_torchrl.utils.seeds import derive_seed
 from bbq_torchrl.vime import DynamicsModel, VIMEReward
 
 INTEGERS = [np.int64, np.uint8, np.int32, torch.tensor]

@@ -6,7 +6,8 @@ import pytest
 import torch
 from tensordict import TensorDict
 
-from bbq_torchrl.domains import DONT_CARE, ScriptedPolicySpec, tensorize
+from bbq_torchrl.domains import ScriptedPolicySpec, tensorize
+from bbq_torchrl.domains.values import DONT_CARE
 from bbq_torchrl.envs import (
     CarefulPolicy,
     ClairvoyantPolicy,

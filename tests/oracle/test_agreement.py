@@ -106,9 +106,9 @@ def test_the_simulator_agrees_with_the_oracle_where_goals_and_errors_are_odd():
 def test_the_simulator_agrees_with_the_oracle_where_several_slots_open_a_dialogue_or_none(
     movie, restaurant
 ):
-    several = replace(movie, opening_slot=("date", "moviename", "city"))
+    several = replace(movie, opening_slots=("date", "moviename", "city"))
     assert_at_work({"open: the opening slot"}, play(several, 40, seed=600, settings=FEW))
-    none = replace(restaurant, opening_slot=())
+    none = replace(restaurant, opening_slots=())
     assert play(none, 20, seed=700, settings=FEW)["open: the opening slot"] == 0
 
 

@@ -12,7 +12,7 @@ from oracle.values import DONT_CARE, NO_MATCH
 from bbq_torchrl.domains import Goal, tensorize
 from bbq_torchrl.domains.frames import Coding
 from bbq_torchrl.simulator import KnowledgeBase
-from bbq_torchrl.simulator.choices import byte_counts, pack, popcount
+from bbq_torchrl.simulator.knowledge_base import byte_counts, pack, popcount
 
 INFORMED = SLOTS[:5]
 N_VALUES = {"moviename": 3, "city": 4, "date": 12, "theater": 20, "genre": 1, "numberofpeople": 3}

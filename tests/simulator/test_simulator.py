@@ -4,8 +4,8 @@ import pytest
 import torch
 
 from bbq_torchrl.domains import tensorize
+from bbq_torchrl.domains.tensors import index_below, pick_slot
 from bbq_torchrl.simulator import ErrorModel, FeatureLayout, Rewards, Simulator
-from bbq_torchrl.simulator.choices import index_below, pick_slot
 
 NAN = float("nan")
 

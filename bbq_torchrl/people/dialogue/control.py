@@ -13,10 +13,10 @@ from typing import TYPE_CHECKING
 
 import torch
 
+from bbq_torchrl.domains.tensors import one_hot
 from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, FIRST_VALUE, NO_MATCH, NONE
 from bbq_torchrl.people.dialogue import RULES
 from bbq_torchrl.people.dialogue.records import Records
-from bbq_torchrl.simulator.choices import one_hot
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable

@@ -9,7 +9,8 @@ from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache, partial
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.domains import FIRST_VALUE, build_vocabulary, fold
+from bbq_torchrl.domains import build_vocabulary, fold
+from bbq_torchrl.domains.values import FIRST_VALUE
 from bbq_torchrl.people.language.phrases import load_phrases
 from bbq_torchrl.people.language.quantities import READERS, Kind, kind_of
 from bbq_torchrl.people.language.words import SMALL, compact, pairs, tokenize

@@ -9,7 +9,7 @@ import pytest
 import torch
 from acts import Acts
 
-from bbq_torchrl.domains import NO_MATCH
+from bbq_torchrl.domains.values import NO_MATCH
 from bbq_torchrl.people.chat import Partner
 from bbq_torchrl.people.dialogue.control import Control
 from bbq_torchrl.people.dialogue.judge import Judge
