@@ -11,8 +11,10 @@ such a round twice, W&B continues the same run, and MLflow starts a new run in t
 from __future__ import annotations
 
 import importlib.util
+import logging
 import os
 from abc import abstractmethod
+from contextlib import suppress
 from dataclasses import dataclass
 from getpass import getuser
 from hashlib import md5
@@ -21,15 +23,17 @@ from tempfile import gettempdir
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from bbq_torchrl.options.registry import Option, register
-from bbq_torchrl.settings import ANY_TEXT, ConfigError, option, setting
+from bbq_torchrl.settings import ANY_TEXT, ConfigError, option, setting, walk
 from bbq_torchrl.utils.extras import install_command, sqlite_url
-from bbq_torchrl.utils.files import write_text
+from bbq_torchrl.utils.files import METRICS, write_text
 from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     from torchrl.record.loggers import Logger
+
+_LOG = logging.getLogger(__name__)
 
 
 @dataclass
@@ -267,3 +271,56 @@ class MLFlow(LoggerOption):
         if not os.environ.get(_ADDRESS):
             default: Any = None  # accepted by MLflow, but not by its type hints
             mlflow.set_tracking_uri(default)
+
+
+class RunLogger:
+    """The loggers of a run, opened and closed by ``with``.
+
+    At their first error they are given up with a warning, since metrics.csv has everything.
+
+    Args:
+        config: the run's configuration, which is logged.
+        run_folder: the run folder.
+
+    Raises:
+        ConfigError: the loggers cannot be made.
+    """
+
+    def __init__(self, config: Any, run_folder: Path) -> None:
+        self._config, self._option, self._works = config, config.logger, True
+        try:
+            made = self._option.make(run_folder, resume=config.resume is not None)
+        except Exception as error:
+            raise ConfigError(f"logger={self._option.name} cannot begin: {error}") from error
+        self._loggers = tuple(made)
+
+    def __enter__(self) -> RunLogger:
+        flat = {key: value for key, _, value in walk(self._config) if key != "resume"}
+        self._try(self._option.log_config, self._loggers, flat)
+        return self
+
+    def log_metrics(self, metrics: Mapping[str, float], step: int) -> None:
+        """Logs the metrics of a round."""
+        self._try(self._option.log_round, self._loggers, metrics, round=step)
+
+    def log_result(self, result: Mapping[str, float], rounds: int) -> None:
+        """Logs the numbers of the final result."""
+        self._try(self._option.log_result, self._loggers, result, rounds=rounds)
+
+    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
+        if self._works:
+            self._try(self._option.close, self._loggers, finished=kind is None)
+        else:
+            with suppress(Exception):
+                self._option.close(self._loggers, finished=False)
+
+    def _try(self, log: Callable[..., object], *given: Any, **more: Any) -> None:
+        try:
+            if self._works:
+                log(*given, **more)
+        except Exception as error:
+            self._works = False
+            _LOG.warning(
+                "logger=%s failed and is given up, %s has everything: %s",
+                *(self._option.name, METRICS, sentence(error)),
+            )

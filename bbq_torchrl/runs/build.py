@@ -1,13 +1,13 @@
-"""Parts of a run other than the agent: domain, spike policy, evaluation, loggers, process setup."""
+"""Parts of a run other than the agent: domain, spike policy, evaluation, process setup."""
 
 from __future__ import annotations
 
 import logging
 import os
 import subprocess
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import torch
 
@@ -17,7 +17,7 @@ from bbq_torchrl.evaluation.rollouts import RoundEvaluator
 from bbq_torchrl.options import Task
 from bbq_torchrl.options.task import action_mask_key, replica_values, spread
 from bbq_torchrl.runs.folders import config_fingerprint, finished_result
-from bbq_torchrl.settings import ConfigError, walk
+from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import (
     CheckpointDamagedError,
     CheckpointFolder,
@@ -28,10 +28,10 @@ from bbq_torchrl.trainers import (
 from bbq_torchrl.trainers.learn import keep_freed_memory
 from bbq_torchrl.utils.files import CHECKPOINTS, METRICS, RESULT
 from bbq_torchrl.utils.seeds import derive_seed
-from bbq_torchrl.utils.text import FaultsError, sentence, shown
+from bbq_torchrl.utils.text import FaultsError, shown
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
+    from collections.abc import Callable, Iterator, Sequence
 
     from tensordict import NestedKey
     from torch import Tensor, nn
@@ -289,59 +289,6 @@ def divergence_warning(config: Config) -> Callable[[RoundTrainer, Sequence[Metri
                 _LOG.warning("%s", text)
 
     return warn
-
-
-class RunLogger:
-    """The loggers of a run, opened and closed by ``with``.
-
-    At their first error they are given up with a warning, since metrics.csv has everything.
-
-    Args:
-        config: the run's configuration, which is logged.
-        run_folder: the run folder.
-
-    Raises:
-        ConfigError: the loggers cannot be made.
-    """
-
-    def __init__(self, config: Config, run_folder: Path) -> None:
-        self._config, self._option, self._works = config, config.logger, True
-        try:
-            made = self._option.make(run_folder, resume=config.resume is not None)
-        except Exception as error:
-            raise ConfigError(f"logger={self._option.name} cannot begin: {error}") from error
-        self._loggers = tuple(made)
-
-    def __enter__(self) -> RunLogger:
-        flat = {key: value for key, _, value in walk(self._config) if key != "resume"}
-        self._try(self._option.log_config, self._loggers, flat)
-        return self
-
-    def log_metrics(self, metrics: Mapping[str, float], step: int) -> None:
-        """Logs the metrics of a round."""
-        self._try(self._option.log_round, self._loggers, metrics, round=step)
-
-    def log_result(self, result: Mapping[str, float], rounds: int) -> None:
-        """Logs the numbers of the final result."""
-        self._try(self._option.log_result, self._loggers, result, rounds=rounds)
-
-    def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if self._works:
-            self._try(self._option.close, self._loggers, finished=kind is None)
-        else:
-            with suppress(Exception):
-                self._option.close(self._loggers, finished=False)
-
-    def _try(self, log: Callable[..., object], *given: Any, **more: Any) -> None:
-        try:
-            if self._works:
-                log(*given, **more)
-        except Exception as error:
-            self._works = False
-            _LOG.warning(
-                "logger=%s failed and is given up, %s has everything: %s",
-                *(self._option.name, METRICS, sentence(error)),
-            )
 
 
 _SECONDS = 30.0  # git on a network drive is slow, but must not block a run

@@ -42,7 +42,8 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.options import Config
-    from bbq_torchrl.runs.build import Checkout, RunLogger
+    from bbq_torchrl.options.logger import RunLogger
+    from bbq_torchrl.runs.build import Checkout
     from bbq_torchrl.trainers import EpisodeStats, RoundTrainer
 
 _LOG = logging.getLogger(__name__)

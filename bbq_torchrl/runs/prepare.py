@@ -6,13 +6,15 @@ runs.
 
 from __future__ import annotations
 
+import logging
+import math
 import multiprocessing
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from hydra.experimental.callback import Callback
 from hydra.utils import to_absolute_path
@@ -26,13 +28,19 @@ from bbq_torchrl.runs.folders import (
     finished_result,
     is_finished,
     reserve,
+    restarted_config,
     run_config,
     run_lock,
 )
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.files import CONFIG, HYDRA, LOG, OVERRIDES, numbers_in_order, read_yaml
-from bbq_torchrl.utils.text import shown
+from bbq_torchrl.utils.text import sentence, shown
+
+if TYPE_CHECKING:
+    from bbq_torchrl.evaluation.run_result import RunResult
+
+_LOG = logging.getLogger(__name__)
 
 _ON_THIS_MACHINE = ("cores", "joblib", "basic")
 """Launchers whose jobs are this process or its children."""
@@ -182,6 +190,43 @@ def _value(config: Any, key: str) -> Any:
     for name in key.split("."):
         config = getattr(config, name, None)
     return getattr(config, "name", config)
+
+
+def run_job(composed: DictConfig, folder: Path, run: Callable[..., RunResult]) -> float:
+    """Runs a job of a sweep, which continues the run in its folder, if any.
+
+    A job that fails is logged and leaves the others alone.
+
+    Args:
+        composed: the configuration of the job.
+        folder: its run folder.
+        run: :func:`bbq_torchrl.runs.train.run`.
+
+    Returns:
+        The final success rate, for sweepers; not a number if the job failed or was interrupted.
+    """
+    from bbq_torchrl.runs import build  # torch and torchrl take ten seconds
+
+    output.escape()
+    interruption.listen()
+    interruption.end_with_parent()
+    try:
+        interruption.check()
+        config = to_config(composed, Config)
+        if config.resume is not None:
+            raise ConfigError("resume cannot be combined with --multirun")
+        config = restarted_config(config, folder)
+        result = finished_result(folder, config.protocol.rounds)
+        if result is None or not is_finished(folder, config.protocol.rounds):
+            build.check_resources(config)
+            result = run(config, folder)
+        return result.success_rate
+    except interruption.Interrupted:
+        pass
+    except Exception as error:
+        is_foreseen = isinstance(error, build.FORESEEN)
+        _LOG.error("this run failed: %s", sentence(error), exc_info=not is_foreseen)
+    return math.nan
 
 
 def has_failed(sweep: Path) -> bool:

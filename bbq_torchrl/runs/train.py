@@ -11,7 +11,6 @@ from __future__ import annotations
 
 import dataclasses
 import logging
-import math
 import re
 import shlex
 import sys
@@ -24,16 +23,14 @@ from hydra.errors import CompactHydraException
 from hydra.types import RunMode
 
 from bbq_torchrl.options import Config
+from bbq_torchrl.options.logger import RunLogger
 from bbq_torchrl.options.registry import conf_folder
 from bbq_torchrl.options.root import register_options
-from bbq_torchrl.runs.compose import quoted, take_config_dir, to_config, train_command
+from bbq_torchrl.runs.compose import quoted, take_config_dir, train_command
 from bbq_torchrl.runs.folders import (
     config_fingerprint,
-    finished_result,
-    is_finished,
-    restarted_config,
 )
-from bbq_torchrl.runs.prepare import final_config
+from bbq_torchrl.runs.prepare import final_config, run_job
 from bbq_torchrl.runs.usage import usage
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
@@ -52,7 +49,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
     from bbq_torchrl.evaluation.run_result import RunResult
     from bbq_torchrl.protocols import ReplicaOptimizer
-    from bbq_torchrl.runs.build import RunLogger
     from bbq_torchrl.trainers import RoundTrainer
     from bbq_torchrl.trainers.round_trainer import RoundCallback
 
@@ -85,47 +81,11 @@ def hydra_main(composed: DictConfig) -> float:
     folder = Path(job.runtime.output_dir)
     interruption.tell(how_to_continue=lambda: _how_to_continue(folder))
     if job.mode is RunMode.MULTIRUN:
-        return run_job(composed, folder)
+        return run_job(composed, folder, run)
     try:
         return run(final_config(composed, job.overrides.task), folder).success_rate
     except build.FORESEEN as error:
         raise CompactHydraException(sentence(error)) from error  # printed without a traceback
-
-
-def run_job(composed: DictConfig, folder: Path) -> float:
-    """Runs a job of a sweep, which continues the run in its folder, if any.
-
-    A job that fails is logged and leaves the others alone.
-
-    Args:
-        composed: the configuration of the job.
-        folder: its run folder.
-
-    Returns:
-        The final success rate, for sweepers; not a number if the job failed or was interrupted.
-    """
-    from bbq_torchrl.runs import build  # torch and torchrl take ten seconds
-
-    output.escape()
-    interruption.listen()
-    interruption.end_with_parent()
-    try:
-        interruption.check()
-        config = to_config(composed, Config)
-        if config.resume is not None:
-            raise ConfigError("resume cannot be combined with --multirun")
-        config = restarted_config(config, folder)
-        result = finished_result(folder, config.protocol.rounds)
-        if result is None or not is_finished(folder, config.protocol.rounds):
-            build.check_resources(config)
-            result = run(config, folder)
-        return result.success_rate
-    except interruption.Interrupted:
-        pass
-    except Exception as error:
-        is_foreseen = isinstance(error, build.FORESEEN)
-        _LOG.error("this run failed: %s", sentence(error), exc_info=not is_foreseen)
-    return math.nan
 
 
 def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -> RunResult:
@@ -150,7 +110,7 @@ def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -
 
     with (
         folders.run_lock(folder),
-        build.RunLogger(config, folder) as logger,
+        RunLogger(config, folder) as logger,
         build.float32_by_default(),
         build.named_memory(),
     ):
