@@ -36,10 +36,9 @@ _MAX_NAMED = 4
 _MAX_DENIED = 4
 """The number of refused offers after which the agent ends the conversation."""
 
-_DOUBTFUL = 0.3
-"""The confidence below which values are checked before the agent acts on them. Of held-out
-sentences nine in ten are above it with the values that were meant, whatever their confidence, and
-of out-of-domain sentences one in twenty."""
+_DOUBTFUL = 0.5
+"""The confidence below which values are checked before the agent acts on them: the confidence is
+the probability that a reading is right, so it is then more likely wrong."""
 
 
 class Partner:
@@ -160,10 +159,9 @@ class Partner:
             if is_question and not reading.unclear and self._hear.is_bare(reading.frame):
                 return self._say(now, self._nlg.say("unknown_question", **words), reading)
             values = _values(understood)
-            is_empty = not values and self._hear.is_bare(understood)
-            if reading.unclear or is_empty or "confirm" not in rules:
+            if reading.unclear or not values or "confirm" not in rules:
                 return self._ask_again(now, reading, self._nlg.clarify(reading, **words))
-            if values and reading.confidence < _DOUBTFUL and not before.asking.is_check:
+            if reading.confidence < _DOUBTFUL and not before.asking.is_check:
                 now = replace(now, asking=now.asking.checking(reading))
                 answered = Frame("not_sure", values)
                 sentence = self._nlg.say("check", values=values, **words)
