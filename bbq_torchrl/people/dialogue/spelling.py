@@ -20,7 +20,6 @@ if TYPE_CHECKING:
 
 _RESERVED = frozenset(fold(text) for text in RESERVED_TEXT.values())
 _LATER = PART_WORDS - {"morning"} | {"tonight"}
-_LONGEST = 8  # words of a name
 _CLOCK = 4  # words of a time: "half past eleven"
 
 
@@ -88,19 +87,11 @@ class Spelling:
                 found[slot] = options[0]
             else:
                 several = options if len(options) > 1 else ()
-                unclear.append(Unclear(slot, self._typed(text, slot, value), several))
+                words = tokenize(text)
+                place = self.lexicon.place(words, slot, value)
+                typed = value if place is None else " ".join(words[place.start : place.stop])
+                unclear.append(Unclear(slot, typed, several))
         return found, tuple(unclear)
-
-    def _typed(self, text: str, slot: str, value: str) -> str:
-        """Returns the words of a text that name exactly a value, else the value."""
-        words, key = tokenize(text), self.lexicon.key(slot, value)
-        for size in range(min(len(words), _LONGEST), 0, -1):
-            for at in range(len(words) - size + 1):
-                name = " ".join(words[at : at + size])
-                link = self.lexicon.link(slot, name)
-                if link.is_exact and self.lexicon.key(slot, link.values[0]) == key:
-                    return name
-        return value
 
     def _has(self, slot: str, value: str) -> bool:
         """Returns whether a record has a value, or the slot constrains no booking."""

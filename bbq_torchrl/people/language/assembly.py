@@ -12,11 +12,11 @@ from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT, Frame
 from bbq_torchrl.people.language.asking import OPENING, Unclear, asked_slot
 from bbq_torchrl.people.language.words import (
     ENGLISH,
-    OUTSIDE,
     POLITE,
     Span,
     compact,
     spans_of,
+    untagged,
 )
 
 if TYPE_CHECKING:
@@ -25,15 +25,12 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.language.lexicon import Lexicon, Link
     from bbq_torchrl.people.language.model import Reading
 
-_LONGEST = 8  # words of a name
 _SHORT = 4  # words of an answer that may be just a name
-_LEAST_LETTERS = 4  # "ok" is Oklahoma only if it is tagged so
 
 _PLACES = ("first former 1st 1 one", "second 2nd 2 two", "third 3rd 3", "fourth 4")
 _ORDER = {word: at for at, words in enumerate(_PLACES) for word in words.split()}
 _ORDER |= {"last": -1, "latter": -1}
 
-_NOT = ("no", "not", "except")
 _ANY_OF = [re.compile(pattern) for pattern in ENGLISH["any_of"]]
 _CLAUSE = re.compile(r"[^\w' ]")  # a mark that ends a clause
 _MAX_BEFORE, _MAX_AFTER = 8, 6  # words
@@ -68,7 +65,11 @@ def assemble(
         spans = [Span(asked, 0, len(words))]  # "LA" is the city or the state asked for.
     else:
         is_bare = act == "inform" and not spans  # though it must name something
-        spans += _missed(words, reading, asked, is_bare, lexicon)
+        left = untagged(words, reading.tags)
+        for span in lexicon.full_names(left, asked if is_bare else None):
+            around = (*words[max(span.start - 1, 0) : span.start], *words[span.end : span.end + 1])
+            if is_bare or "or" in around:  # "Seattle or Portland"
+                spans.append(span)
         spans.sort(key=lambda span: span.start)
     informs, unclear = values_of(words, spans, lexicon)
     sure = math.log(max(reading.tags_chance, 1e-9)) + math.log(max(1 - reading.foreign, 1e-9))
@@ -119,58 +120,26 @@ def chosen(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | Non
     return None
 
 
-def is_denied(words: Sequence[str], start: int, end: int, *, is_first: bool = True) -> bool:
+def is_denied(words: Sequence[str], start: int, end: int) -> bool:
     """Returns whether the words around a name reject it.
 
-    After another name of its slot, and before a number, a "no" retracts what was said before.
+    Before a number, a "no" retracts what was said before.
 
     Args:
         words: the words of the sentence.
         start: the first word of the name.
         end: the word after its last.
-        is_first: whether no other name of its slot precedes it.
     """
     before = _CLAUSE.split(" ".join(words[max(start - _MAX_BEFORE, 0) : start]))[-1].strip()
     after = _CLAUSE.split(" ".join(words[end : end + _MAX_AFTER]))[0].strip()
     if words[end - 1].endswith("'s"):
         after = f"'s {after}"  # "Friday's no good"
-    says_no = is_first and not any(map(str.isdigit, "".join(words[start:end])))
+    says_no = not any(map(str.isdigit, "".join(words[start:end])))
     return (
         (says_no and _NO.search(before) is not None)
         or any(pattern.search(before) for pattern in _DENIED_BEFORE)
         or any(pattern.search(after) for pattern in _DENIED_AFTER)
     )
-
-
-def _missed(
-    words: Sequence[str], reading: Reading, asked: str | None, is_bare: bool, lexicon: Lexicon
-) -> list[Span]:
-    """Returns full names that the tagger passed over.
-
-    They are beside an "or", or anywhere in a sentence that is ``is_bare`` of values, in which
-    ``asked`` is the slot of what several slots have.
-    """
-    found: list[Span] = []
-    tags = list(reading.tags)
-    for size in range(min(_LONGEST, len(words)), 0, -1):
-        for start in range(len(words) - size + 1):
-            end = start + size
-            name = " ".join(words[start:end])
-            slot = lexicon.only_slot(name)
-            if is_bare and asked in lexicon.slots and lexicon.link(asked, name).is_exact:
-                slot = asked
-            has_edges = compact(words[start]) and compact(words[end - 1])
-            if slot is None or {*tags[start:end]} != {OUTSIDE} or not has_edges or name in POLITE:
-                continue
-            kind = lexicon.kinds[slot]
-            is_short = kind == "text" and len(name) < _LEAST_LETTERS and name.isalpha()
-            if is_short or (kind == "count" and slot != asked):
-                continue
-            # "Seattle or Portland"
-            if is_bare or "or" in (*words[max(start - 1, 0) : start], *words[end : end + 1]):
-                found.append(Span(slot, start, end))
-                tags[start:end] = [slot] * size
-    return found
 
 
 class _Mention(NamedTuple):
@@ -191,10 +160,7 @@ def _mentions(
         if lexicon.link(slot, text).score < 1.0:
             # A name in full is of its slot whatever was tagged.
             slot = lexicon.only_slot(text) or slot
-            while start + 1 < end and words[start] in _NOT:
-                start += 1
-            text = " ".join(words[start:end])
-        denied = is_denied(words, start, end, is_first=slot not in found)
+        denied = is_denied(words, start, end)
         found.setdefault(slot, []).append(_Mention(text, lexicon.link(slot, text), denied))
     return found
 

@@ -13,16 +13,20 @@ from bbq_torchrl.domains import build_vocabulary, fold
 from bbq_torchrl.domains.values import FIRST_VALUE
 from bbq_torchrl.people.language.phrases import load_phrases
 from bbq_torchrl.people.language.quantities import READERS, Kind, kind_of
-from bbq_torchrl.people.language.words import SMALL, compact, pairs, tokenize
+from bbq_torchrl.people.language.words import POLITE, SMALL, Span, compact, pairs, tokenize
 from bbq_torchrl.utils.extras import needed
 
 if TYPE_CHECKING:
+    from collections.abc import Sequence
+
     from bbq_torchrl.domains import Domain
 
 _NEGATIVE = re.compile(r"-\s?\d")
 _CLOSE = 0.045
 _LEAST = 0.6
 _MAX_TIES = 6
+_LONGEST = 10  # words of a name
+_LEAST_LETTERS = 4  # "ok" is Oklahoma only if it is tagged so
 _SAME_WORD = pairs("same_word")
 
 
@@ -102,6 +106,10 @@ class Lexicon:
                 for text, key in (*self._plurals[slot].items(), *reversed(keys.items()))
             }
             for slot, keys in self.keys.items()
+        }
+        owners = Counter(name for names in self._names.values() for name in names)
+        self._only = {
+            name: slot for slot, names in self._names.items() for name in names if owners[name] == 1
         }
         self._exact = {
             slot: {fold(value): value for value in values} for slot, values in self._values.items()
@@ -188,9 +196,57 @@ class Lexicon:
 
     def only_slot(self, text: str) -> str | None:
         """Returns the only slot that has a value of exactly this name, else ``None``."""
-        name = compact(text)
-        slots = [slot for slot, names in self._names.items() if name in names]
-        return slots[0] if len(slots) == 1 else None
+        return self._only.get(compact(text))
+
+    def place(self, words: Sequence[str], slot: str, value: str) -> range | None:
+        """Returns the words that name a value best: its longest full name, else the best fit.
+
+        Args:
+            words: the words of a sentence, with ``""`` for those to leave out.
+            slot: the slot.
+            value: the value.
+        """
+        key = self.key(slot, value)
+        places = _places(words)
+        best, best_fit = None, 0.0
+        for at in sorted(places, key=len, reverse=True):
+            if tuple(words[at.start : at.stop]) in self.names[slot] and self._fit(
+                words, at, slot, key
+            ):
+                return at
+        for at in sorted(places, key=len):
+            if (fit := self._fit(words, at, slot, key)) > best_fit:
+                best, best_fit = at, fit
+            if fit == 1.0:
+                break
+        return best
+
+    def _fit(self, words: Sequence[str], place: range, slot: str, key: str) -> float:
+        """Returns how well words name the value of a key; 0 if they name another or several."""
+        link = self.link(slot, " ".join(words[place.start : place.stop]))
+        return link.score if [self.key(slot, value) for value in link.values] == [key] else 0.0
+
+    def full_names(self, words: Sequence[str], asked: str | None = None) -> list[Span]:
+        """Returns the longest full names of values that only one slot has, in no order.
+
+        Args:
+            words: the words of a sentence, with ``""`` for those to leave out.
+            asked: the slot of names that several slots have.
+        """
+        found, left = [], list(words)
+        for at in sorted(_places(words), key=len, reverse=True):
+            name = " ".join(own := left[at.start : at.stop])
+            slot = self.only_slot(name)
+            if asked in self.slots and self.link(asked, name).is_exact:
+                slot = asked
+            if slot is None or not all(own) or name in POLITE:
+                continue
+            kind = self.kinds[slot]
+            is_short = kind == "text" and len(name) < _LEAST_LETTERS and name.isalpha()
+            if not (is_short or (kind == "count" and slot != asked)):
+                found.append(Span(slot, at.start, at.stop))
+                left[at.start : at.stop] = [""] * len(at)
+        return found
 
     def _quantity(self, slot: str, kind: Kind, text: str) -> Link | None:
         read = READERS[kind](text)
@@ -225,6 +281,17 @@ class Lexicon:
         best = ranked[0][1]
         ties = [key for key, score in ranked[:_MAX_TIES] if score > best - _CLOSE]
         return Link(tuple(self.spelling(slot, key) for key in ties), best)
+
+
+def _places(words: Sequence[str]) -> list[range]:
+    """Returns the places of all names that words may contain."""
+    is_word = [compact(word) != "" for word in words]
+    return [
+        range(start, end)
+        for start in range(len(words))
+        for end in range(start + 1, min(start + _LONGEST, len(words)) + 1)
+        if is_word[start] and is_word[end - 1] and all(words[start:end])
+    ]
 
 
 class _Names:

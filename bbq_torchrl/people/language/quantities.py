@@ -114,7 +114,17 @@ RELATION_WORDS = frozenset(
 
 _BEFORE_NOON = frozenset(("am", "a.m", "a.m.", "morning"))
 _AFTER_NOON = frozenset(("pm", "p.m", "p.m.", "afternoon", "evening", "night", "tonight"))
-_CLOCK = re.compile(r"(\d{1,2})[:.h](\d\d)")
+_NAMED_TIMES = {"noon": "12:00", "midday": "12:00", "midnight": "00:00"}
+_RELATION = re.compile(
+    rf"(?:(?:{'|'.join(ENGLISH['before_relations'].split())}) )*"
+    rf"({'|'.join(ENGLISH['relations'])}) (?:(?:about|around) )?"
+)
+_CLOCK = re.compile(
+    r"(?P<hour>\d{1,2})(?:[:.h]?(?P<minute>\d\d)| (?P<spoken>oh \d|[2-5]0 \d|[1-5]\d))?"
+    r"|(?P<before_half>\d{1,2}) (?:a )?half|half (?P<after_half>\d{1,2})"
+    r"|(?:a )?(?P<part>half|quarter|\d{1,2})(?: minutes)?"
+    r" (?:(?P<past>past|after)|to|till|before) (?P<full>\d{1,2})"
+)
 
 
 def read_time(text: str) -> str | None:
@@ -126,87 +136,52 @@ def read_time(text: str) -> str | None:
         >>> [read_time(t) for t in ("7:30 pm", "half past seven", "1930", "after 6pm", "25:99")]
         ['at 19:30', 'at 19:30?', 'at 19:30', 'after 18:00', None]
     """
-    joined = " ".join(tokenize(text))
-    joined = re.sub(r"\b(?:around )?([\w:.]+?) ?-? ?ish\b", r"around \1", joined)
-    relation = "at"
-    for phrase, name in ENGLISH["relations"].items():
-        if phrase in joined and re.search(
-            rf"(^|\b(at|in|somewhere|something|anything|only|a bit|is) ){phrase}\b", joined
-        ):
-            relation, joined = name, joined.replace(phrase, " ", 1)
-            if relation == "after":
-                joined = re.sub(r"\b(about|around)\b", " ", joined)  # "from about 6"
-            break
+    line, relation = " ".join(tokenize(text)), "at"
+    line = re.sub(r"\b(?:around )?([\w:.]+?) ?-? ?ish\b", r"around \1", line)
     for phrase, name in ENGLISH["ranges"].items():
-        if joined.endswith(f" {phrase}"):
-            relation, joined = name, joined.removesuffix(phrase)
-    words = [word for word in joined.split() if word not in _TIME_FILLERS]
-    meridian = None
-    kept = []
-    for word in words:
-        if word in _BEFORE_NOON:
-            meridian = 0
-        elif word in _AFTER_NOON:
-            meridian = 12
-        else:
-            kept.append(word)
-    if kept in (["noon"], ["midday"]):
-        return f"{relation} 12:00"
-    if kept == ["midnight"]:
-        return f"{relation} 00:00"
-    clock = _clock(kept)
-    if clock is None and meridian is not None and len(kept) == 2:
-        clock = _clock([kept[0], "oh", kept[1]])  # "ten five pm"
-    if clock is None:
+        if line.endswith(f" {phrase}"):
+            relation, line = name, line.removesuffix(phrase)
+    line = " ".join(word for word in line.split() if word not in _TIME_FILLERS)
+    if found := _RELATION.match(line):
+        relation, line = ENGLISH["relations"][found[1]], line[found.end() :]
+    words = line.split()
+    kept = [word for word in words if word not in _BEFORE_NOON | _AFTER_NOON]
+    if len(kept) == 1 and kept[0] in _NAMED_TIMES:
+        return f"{relation} {_NAMED_TIMES[kept[0]]}"
+    shift = None
+    if len(kept) < len(words):
+        shift = 0 if _AFTER_NOON.isdisjoint(words) else 12
+        if len(kept) == 2 and _read_clock(kept) is None:
+            kept.insert(1, "oh")  # "ten five pm"
+    clock = _read_clock(kept)
+    if clock is None or clock[0] > 23 or clock[1] > 59 or (clock[0] > 12 and shift == 0):
         return None
-    hour, minute, has_24 = clock
-    if hour > 23 or minute > 59 or (hour > 12 and meridian == 0):
-        return None
-    if meridian is not None and hour <= 12:
-        return f"{relation} {hour % 12 + meridian:02}:{minute:02}"
-    if hour > 12 or has_24 or hour == 0:
-        return f"{relation} {hour:02}:{minute:02}"
-    return f"{relation} {hour % 12 + 12:02}:{minute:02}?"
+    hour, minute, is_sure = clock
+    if hour <= 12 and (shift is not None or not is_sure):
+        hour, is_sure = hour % 12 + (12 if shift is None else shift), shift is not None
+    return f"{relation} {hour:02}:{minute:02}{'' if is_sure else '?'}"
 
 
-def _clock(words: list[str]) -> tuple[int, int, bool] | None:
+def _read_clock(words: list[str]) -> tuple[int, int, bool] | None:
     """Returns the hour, the minute and whether the clock certainly has 24 hours."""
-    if len(words) == 1:
-        word = words[0]
-        if match := _CLOCK.fullmatch(word):
-            return int(match[1]), int(match[2]), len(match[1]) == 2 and match[1][0] == "0"
-        if word.isdecimal() and word.isascii() and len(word) in (3, 4):
-            return int(word[:-2]), int(word[-2:]), len(word) == 4
-        number = number_of(word)
-        return None if number is None or number > 24 else (number % 24, 0, False)
-    joined = " ".join(words)
-    match = re.fullmatch(
-        r"(half|quarter|a quarter|\w+)(?: minutes)? (past|after|to|till|before) (\w+)", joined
-    )
-    if match:
-        minutes = {"half": 30, "quarter": 15, "a quarter": 15}.get(match[1]) or number_of(match[1])
-        hour = number_of(match[3])
-        if minutes is None or hour is None or not 0 < minutes < 60 or hour > 24:
+    line = " ".join(str(_NUMBERS.get(word, word)) for word in words)
+    if not line.isascii() or (found := _CLOCK.fullmatch(line)) is None:
+        return None
+    if found["full"]:
+        hour, part = int(found["full"]), found["part"]
+        minutes = {"half": 30, "quarter": 15}.get(part) or int(part)
+        if not 0 < minutes < 60 or hour > 24:
             return None
-        return (
-            (hour, minutes, False)
-            if match[2] in ("past", "after")
-            else ((hour - 1) % 12 or 12, 60 - minutes, False)
-        )
-    if match := re.fullmatch(r"(?:half (\w+)|(\w+) (?:a )?half)", joined):
-        hour = number_of(match[1] or match[2])
-        return None if hour is None else (hour, 30, False)
-    hour = number_of(words[0]) if words else None
-    if hour is None or not 1 <= hour <= 23:
-        return None
-    if len(words) == 2 and (minute := number_of(words[1])) is not None:
-        return (hour, minute, False) if minute >= 10 else None
-    if len(words) != 3:
-        return None
-    tens, unit = 0 if words[1] == "oh" else TEN_WORDS.get(words[1]), number_of(words[2])
-    if tens is None or unit is None or unit > 9:
-        return None
-    return hour, tens + unit, False
+        if not found["past"]:
+            hour, minutes = (hour - 1) % 12 or 12, 60 - minutes
+        return hour, minutes, False
+    if halved := found["before_half"] or found["after_half"]:
+        return int(halved), 30, False
+    hour, minute = int(found["hour"]), found["minute"] or found["spoken"]
+    if minute is None:
+        return hour % 24 if hour == 24 else hour, 0, hour in (0, *range(13, 25))
+    is_sure = line[0] == "0" or (len(line) == 4 and line.isdecimal())
+    return hour, sum(map(int, minute.removeprefix("oh ").split())), is_sure or hour > 12
 
 
 def read_date(text: str) -> str | None:

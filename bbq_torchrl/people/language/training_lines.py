@@ -19,9 +19,9 @@ from bbq_torchrl.people.language.words import (
     ENGLISH,
     OUTSIDE,
     SMALL,
-    compact,
     spans_of,
     tokenize,
+    untagged,
     words_of,
 )
 from bbq_torchrl.utils.text import FaultsError
@@ -126,7 +126,6 @@ DRILLED_FILE = "drilled.txt"
 _UNKNOWN = "?"
 """The prefix of a name that the domain does not have: ``city=?toledo``."""
 
-_LONGEST = 10  # words of a name
 _MADE_UP = 0.4
 
 
@@ -205,11 +204,10 @@ def as_examples(lines: Sequence[Line], lexicon: Lexicon) -> list[Example]:
         for slot, value in frame.informs.items():
             if value == ANY or slot not in lexicon.names:
                 continue  # of a slot without values, such as "anything of that series"
-            place = (
-                _said(words, tokenize(value.removeprefix(_UNKNOWN)))
-                if value.startswith(_UNKNOWN)
-                else _place(words, tags, slot, value, lexicon)
-            )
+            if value.startswith(_UNKNOWN):
+                place = _said(words, tokenize(value.removeprefix(_UNKNOWN)))
+            else:
+                place = lexicon.place(untagged(words, tags), slot, value)
             if place is not None:
                 tags[place.start : place.stop] = [slot] * len(place)
         heard = without_unknown(frame)
@@ -222,40 +220,6 @@ def _said(words: list[str], name: list[str]) -> range | None:
     starts = range(len(words) - len(name) + 1)
     found = (at for at in starts if words[at : at + len(name)] == name)
     return next((range(at, at + len(name)) for at in found), None)
-
-
-def _place(
-    words: list[str], tags: list[str], slot: str, value: str, lexicon: Lexicon
-) -> range | None:
-    """Returns the words that name the value best: a full name, else the shortest best fit."""
-    key = lexicon.key(slot, value)
-    can_edge = [compact(word) != "" for word in words]
-    places = [
-        range(start, end)
-        for start in range(len(words))
-        for end in range(start + 1, min(start + _LONGEST, len(words)) + 1)
-        if can_edge[start] and can_edge[end - 1]
-        if all(tag == OUTSIDE for tag in tags[start:end])
-    ]
-    for place in sorted(places, key=len, reverse=True):
-        own = words[place.start : place.stop]
-        if tuple(own) in lexicon.names[slot] and _means(slot, own, key, lexicon):
-            return place
-    best, best_score = None, 0.0
-    for place in sorted(places, key=len):
-        score = _means(slot, words[place.start : place.stop], key, lexicon)
-        if score > best_score:
-            best, best_score = place, score
-        if score == 1.0:
-            break
-    return best
-
-
-def _means(slot: str, words: list[str], key: str, lexicon: Lexicon) -> float:
-    """Returns how well words name the value of a key, 0 if they name another or several."""
-    link = lexicon.link(slot, " ".join(words))
-    is_meant = [lexicon.key(slot, value) for value in link.values] == [key]
-    return link.score if is_meant else 0.0
 
 
 def varied(

@@ -203,3 +203,8 @@ def spans_of(tags: Sequence[str]) -> list[Span]:
         if slot != OUTSIDE:
             spans.append(Span(slot, places[0], places[-1] + 1))
     return spans
+
+
+def untagged(words: Sequence[str], tags: Sequence[str]) -> list[str]:
+    """Returns the words, with ``""`` in place of those that are part of a value."""
+    return [word if tag == OUTSIDE else "" for word, tag in zip(words, tags, strict=True)]

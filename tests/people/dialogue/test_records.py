@@ -1,0 +1,56 @@
+"""The nearest records to a person's wishes, in domains with hardly any."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import pytest
+import torch
+
+from bbq_torchrl.domains import tensorize
+from bbq_torchrl.domains.frames import Coding
+from bbq_torchrl.people.dialogue.records import Records
+
+WONKA = {"moviename": "wonka", "city": "reno", "date": "saturday night", "starttime": "6:30 pm"}
+
+
+@pytest.fixture
+def kept(movie):
+    """Returns the records of a domain that has only the given ones, and ids of values."""
+
+    def kept(*rows):
+        domain = replace(movie, records=rows)
+        coding = Coding(tensorize(domain))
+        return Records(tensorize(domain)), lambda **values: torch.tensor(coding.ids(values))
+
+    return kept
+
+
+def test_the_one_record_is_near_until_it_is_refused(kept, movie):
+    records, ids = kept(WONKA)
+    held = ids(moviename="wonka", city="newark")
+    city, reno = movie.slots.index("city"), int(ids(city="reno").max())
+    assert records.nearest(held) == {city: reno}
+    assert records.choices(held, city) == [reno]
+    assert records.freeing(held) == [city]
+    assert records.conflict(held) == (city,)
+    assert records.nearest(held, [[(city, reno)]]) == {}
+    assert records.nearest(ids(**WONKA)) == {}
+
+
+def test_a_record_of_absent_values_contradicts_and_offers_nothing(kept, movie):
+    records, ids = kept({"genre": "horror"})
+    held = ids(moviename="wonka", city="newark")
+    differs, lacks, distance = records.best(held)
+    assert (int(differs.sum()), int(lacks.sum()), int(distance)) == (0, 2, 2)
+    assert records.nearest(held) == {}
+    assert records.choices(held, movie.slots.index("city")) == []
+    assert not records.is_listed(movie.slots.index("city"))
+
+
+def test_where_no_wish_alone_is_in_the_way_none_is_named(kept):
+    records, ids = kept(WONKA, {**WONKA, "moviename": "barbie", "genre": "horror"})
+    held = ids(moviename="nope", city="newark")
+    assert records.freeing(held) == []
+    assert len(records.conflict(held)) == 1  # no record has it, whatever the others
+    assert len(records.nearest(held)) == 2
