@@ -91,8 +91,8 @@ class Control:
 
         Values that the agent told are dropped if without them a record is nearer to what the person
         tells or asks for. The agent tells them again as if the person had just asked. A "no match"
-        is always dropped. A single wish that no record contradicts, but that all records with the
-        other wishes lack, is set aside.
+        is always dropped. Wishes that no record contradicts, but that all records with the other
+        wishes lack, are set aside: a single one, or any number for minor slots.
 
         The state gets the keys ``wished``, long ``[*B, S]``, the number of times that the person
         has told each slot, and ``aside``, long ``[*B, S]``, the values set aside.
@@ -122,8 +122,9 @@ class Control:
             )
         if "on_file" in self.rules:
             differs, lacks, _ = self.records.best(held)
-            is_aside = lacks & ~differs.any(-1, keepdim=True)
-            is_aside = is_aside & (lacks.sum(-1, keepdim=True) == 1)
+            is_single = lacks.sum(-1, keepdim=True) == 1
+            is_detail = ~(lacks & ~self.records.minor).any(-1, keepdim=True)
+            is_aside = lacks & ~differs.any(-1, keepdim=True) & (is_single | is_detail)
             state = state.replace(aside=torch.where(is_aside, held, NONE))
             held = torch.where(is_aside, DONT_CARE, held)
         return state.replace(held=held)
@@ -167,7 +168,7 @@ class Control:
         return ~answers.any(-1, keepdim=True) | answers
 
     def _no_asking_back(self, state: TensorDictBase) -> torch.Tensor:
-        known = self._open(state) | (state["held"] != NONE)
+        known = self._open(state) | (state["held"] != NONE) | self.records.minor
         return ~(self._is_request & known[..., self._slot])
 
     def _implied(self, state: TensorDictBase) -> torch.Tensor:

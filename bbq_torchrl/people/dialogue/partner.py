@@ -340,11 +340,13 @@ class Partner:
             return self._say(now, self._nlg.say("change", names, **words), reading)
         ended = "agent" if answered.act in ("thanks", "closing") else ""
         sentences = [self._nlg.agent(act, kept, **words) for act, kept in acted.parts]
-        if is_booked and ended:
-            sentences[:-1] = [self._nlg.say("booked", values=_values(answered), **words)]
+        if ended and (is_booked or (is_offered and acted.understood.act == "thanks")):
+            booked = self._ways_out.record(acted.state)
+            sentences[:-1] = [self._nlg.say("booked", values=booked, **words)]
         for slot in acted.aside:
-            absent = self._nlg.agent(Frame("inform", {slot: NO_MATCH_TEXT}), **words)
-            sentences.insert(0, absent)
+            if not self.control.records.minor[self.domain.slots.index(slot)]:
+                absent = self._nlg.agent(Frame("inform", {slot: NO_MATCH_TEXT}), **words)
+                sentences.insert(0, absent)
         if not ended and 2 * now.texts >= self.agent.simulator.max_turn:
             ended = "turns"
         sentence, left_out = " ".join(sentences), acted.control

@@ -9,7 +9,7 @@ import torch
 
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.values import DONT_CARE, FIRST_VALUE, NONE
-from bbq_torchrl.people.language.quantities import kind_of, read_time
+from bbq_torchrl.people.language.quantities import PART_WORDS, kind_of, read_date, read_time
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -20,9 +20,14 @@ if TYPE_CHECKING:
 
 _EVIDENCE = 8  # values of a slot with several records, each with one value of the determined slot
 _SAMPLE = 100  # values that tell a slot's kind
+_RARE = 1 / 8
+"""A slot that goals constrain less often than this share of the most frequent one is minor."""
 _COSTS = {"time": 1, "date": 2, "price": 2, "count": 2, "text": 3}
-"""The cost of another value, by the kind of its slot: people accept another time before another
-place. The opening slot, which a dialogue is about, costs twice the highest more."""
+"""The cost of another value, by the kind of its slot."""
+_EACH, _PLACE, _OPENING = 100, 1_000, 2_000
+"""What each other value costs more, one that another value determines, as a theater its city, and
+one of the opening slot, which a dialogue is about: people accept another time before another place.
+"""
 
 
 def completed(domain: Domain) -> tuple[Mapping[str, str], ...]:
@@ -45,14 +50,16 @@ def completed(domain: Domain) -> tuple[Mapping[str, str], ...]:
 class Records:
     """Compares records with the values that a tracker holds.
 
-    A record contradicts a value if it has another one; without the slot it only lacks the value.
-    Values of free slots, reserved values and no value never count.
+    A record contradicts a value if it has another one; without the slot it only lacks the value, as
+    with another value of a minor slot. Values of free slots, reserved values and no value never
+    count.
 
     Args:
         domain: the domain's tensors.
 
     Attributes:
         has: bool ``[R, S]``, whether a record has a slot.
+        minor: bool ``[S]``, whether few of the domain's goals constrain a slot.
         determines: bool ``[S, S]``, whether the value of the first slot determines the second's,
             as a city its state: in all records, and for at least eight values with several records.
     """
@@ -61,14 +68,23 @@ class Records:
         self._values, self._vocabulary = domain.records, domain.vocabulary
         self.has = domain.records != NONE
         self._constrains = domain.constrains
+        wanted = (domain.goal_constraints != NONE).sum(0)
+        self.minor = wanted < _RARE * wanted.max()
         self.determines = _dependencies(domain)
         kinds = [kind_of(texts[FIRST_VALUE:][:_SAMPLE]) for texts in domain.vocabulary]
-        costs = [_COSTS[kind] for kind in kinds]
-        self._costs = torch.tensor(costs, dtype=torch.float64) + 2 * max(costs) * domain.opening
+        costs = torch.tensor([_EACH + _COSTS[kind] for kind in kinds], dtype=torch.float64)
+        self._is_place = self.determines.any(0) & ~self.minor
+        self._costs = costs + _OPENING * domain.opening
+        self._is_lasting = self._is_place | domain.opening
         self._minutes = {
             slot: torch.tensor([_minutes(text) for text in domain.vocabulary[slot]])
             for slot, kind in enumerate(kinds)
             if kind == "time"
+        }
+        self._days = {
+            slot: _numbered([_day(text) for text in domain.vocabulary[slot]])
+            for slot, kind in enumerate(kinds)
+            if kind == "date"
         }
 
     def compare(self, held: Tensor) -> tuple[Tensor, Tensor]:
@@ -81,7 +97,14 @@ class Records:
             bool ``[*B, R, S]`` each.
         """
         told = ((held >= FIRST_VALUE) & self._constrains)[..., None, :]
-        return told & self.has & (self._values != held[..., None, :]), told & ~self.has
+        misses = told & (self._values != held[..., None, :])
+        differs = misses & self.has & ~self.minor
+        return differs, misses & ~differs
+
+    def _distances(self, differs: Tensor, lacks: Tensor) -> Tensor:
+        """Returns each record's distance, ``[*B, R]``: contradictions count most, details least."""
+        n_slots, absent = differs.shape[-1], lacks & ~self.minor
+        return (differs.sum(-1) * n_slots + absent.sum(-1)) * n_slots + (lacks & self.minor).sum(-1)
 
     def having(self, held: Tensor) -> Tensor:
         """Counts the records with each slot that contradict nothing. Returns long ``[*B, S]``."""
@@ -98,7 +121,7 @@ class Records:
             bool ``[*B, S]`` twice, and long ``[*B]``: contradictions count before absent values.
         """
         differs, lacks = self.compare(held)
-        distance, place = _distances(differs, lacks).min(-1)
+        distance, place = self._distances(differs, lacks).min(-1)
         index = place[..., None, None].expand(*place.shape, 1, held.shape[-1])
         differs, lacks = (part.gather(-2, index).squeeze(-2) for part in (differs, lacks))
         return differs, lacks, distance
@@ -111,11 +134,13 @@ class Records:
         asked: Sequence[int] = (),
         slot: int | None = None,
         direction: int = 0,
+        is_here: bool = False,
     ) -> dict[int, int]:
         """Returns the values of the nearest record that differ from those held, by slot.
 
-        Fewer differences are nearer, then those of slots that cost less, then earlier or later by
-        less. A record lacks as few of the values held as possible.
+        Another part of the same day is nearest, then fewer differences, then those of slots that
+        cost less, then earlier or later by less. What the values held determine, as a theater its
+        city, is held too. A record lacks as few of the values held as possible.
 
         Args:
             held: long ``[S]``, value ids.
@@ -123,20 +148,30 @@ class Records:
             asked: slots that the record should have.
             slot: a slot that must differ; ``None`` for any.
             direction: 1 for a later, -1 for an earlier value of ``slot``.
+            is_here: whether only ``slot`` may differ of the opening slot and the place.
 
         Returns:
             Empty if no record differs in that way.
         """
         differs, lacks = self.compare(held)
-        absent = lacks.sum(-1)
-        cost = (differs * (100 + self._costs)).sum(-1) + torch.where(absent > 1, 1e4, 10.0) * absent
-        cost += 1_000.0 * (~self.has[:, list(asked)]).sum(-1)
+        absent = (lacks & ~self.minor).sum(-1)
+        far, nowhere = (part & self._is_place for part in self.compare(self._implied(held)))
+        cost = (differs * self._costs).sum(-1) + torch.where(absent > 1, 1e4, 10.0) * absent
+        cost += (lacks & self.minor).sum(-1)
+        cost += _PLACE * (far.any(-1) + 1.2 * nowhere.any(-1))
+        cost += _PLACE / 2 * (~self.has[:, list(asked)]).sum(-1)
+        for number, days in self._days.items():
+            is_near = differs[:, number] & (days[self._values[:, number]] == days[held[number]])
+            cost -= is_near * _EACH
         for number, minutes in self._minutes.items():
             away = minutes[self._values[:, number]] - minutes[held[number]]
             cost += torch.where(differs[:, number], (away.abs() / 1_440).nan_to_num(1.0), 0.0)
             if slot == number and direction:
                 cost += torch.where(away * direction > 0, 0.0, torch.inf)
         is_out = ~differs.any(-1) if slot is None else ~differs[:, slot]
+        if is_here:
+            stays = self._is_lasting & (torch.arange(len(held)) != slot)
+            is_out |= ((differs | far) & stays).any(-1)
         for change in refused:
             slots, values = (list(part) for part in zip(*change, strict=True))
             is_out |= (self._values[:, slots] == torch.tensor(values)).all(-1)
@@ -146,6 +181,27 @@ class Records:
             return {}
         changed = differs[place].nonzero().flatten().tolist()
         return {number: int(self._values[place, number]) for number in changed}
+
+    def lasting(self, held: Tensor) -> Tensor:
+        """Returns the values of the opening slot and the place that hold, long ``[S]``."""
+        return torch.where(self._is_lasting, self._implied(held), NONE)
+
+    def is_same_day(self, held: Tensor, change: Mapping[int, int]) -> bool:
+        """Returns whether only the part of a day changes."""
+        return all(
+            slot in self._days and self._days[slot][value] == self._days[slot][held[slot]]
+            for slot, value in change.items()
+        )
+
+    def _implied(self, held: Tensor) -> Tensor:
+        """Returns the values held with those that they determine, long ``[S]``."""
+        implied = held.clone()
+        for slot in (held >= FIRST_VALUE).nonzero().flatten().tolist():
+            of = self._values[self._values[:, slot] == held[slot]]
+            if len(of):
+                is_free = self.determines[slot] & (implied == NONE)
+                implied = torch.where(is_free, of.amax(0), implied)
+        return implied
 
     def choices(self, held: Tensor, slot: int, direction: int = 0) -> list[int]:
         """Returns the other values of a slot in records with everything else, the commonest first.
@@ -178,7 +234,7 @@ class Records:
         """
         changed = held.clone()
         changed[[*change]] = torch.tensor([*change.values()], dtype=torch.long)
-        return self._values[int(_distances(*self.compare(changed)).argmin())].clone()
+        return self._values[int(self._distances(*self.compare(changed)).argmin())].clone()
 
     def is_listed(self, slot: int) -> bool:
         """Returns whether records have values of a slot that constrains them."""
@@ -201,18 +257,14 @@ class Records:
             held: long ``[S]``, value ids.
         """
         differs, lacks = self.compare(held)
-        misses = differs if differs.any(-1).all() else differs | lacks
+        misses = differs if differs.any(-1).all() else differs | (lacks & ~self.minor)
+        misses = misses if misses.any(-1).all() else differs | lacks
         slots = misses.any(0).nonzero().flatten().tolist()
         for size in range(1, len(slots) + 1):
             for some in combinations(slots, size):
                 if misses[:, list(some)].any(-1).all():
                     return some
         return ()
-
-
-def _distances(differs: Tensor, lacks: Tensor) -> Tensor:
-    """Returns each record's distance, ``[*B, R]``: contradictions count before absent values."""
-    return differs.sum(-1) * differs.shape[-1] + lacks.sum(-1)
 
 
 def _dependencies(domain: DomainTensors) -> Tensor:
@@ -228,6 +280,18 @@ def _dependencies(domain: DomainTensors) -> Tensor:
         is_only = ((values == highest.gather(0, of)) | ~both).all(0)
         found[one] = is_only & (often.sum(0) >= _EVIDENCE) & domain.constrains
     return found & ~torch.eye(domain.n_slots, dtype=torch.bool)
+
+
+def _numbered(texts: Sequence[str]) -> Tensor:
+    """Returns a number for each text, the same for equal texts."""
+    numbers = {text: number for number, text in enumerate(texts)}
+    return torch.tensor([numbers[text] for text in texts])
+
+
+def _day(text: str) -> str:
+    """Returns the day of a date without the part of the day: "tonight" is today."""
+    words = (read_date(text) or text).split()
+    return " ".join(word for word in words if word not in {*PART_WORDS, "later"})
 
 
 def _minutes(text: str) -> float:

@@ -269,8 +269,10 @@ class Acting:
             if parts or rules:
                 action = agent.decide(observation, seed, allowed)
             state = self._act(state, action, parts)
-        is_offer = self._complete in parts[-1][0].informs and "aside" in state
-        aside = self._tracking.values(state["aside"]) if is_offer else {}
+        aside = {}
+        if self._complete in parts[-1][0].informs and "aside" in state:
+            is_absent = control.records.having(state["held"]) == 0
+            aside = self._tracking.values(torch.where(is_absent, state["aside"], NONE))
         return Acted(understood, state, tuple(parts), rules, aside)
 
     def _answer(

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from bbq_torchrl.domains.values import FIRST_VALUE
+from bbq_torchrl.domains.values import FIRST_VALUE, NONE
 from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.exchange import Answer
 from bbq_torchrl.people.dialogue.tracking import full
@@ -17,6 +17,7 @@ from bbq_torchrl.people.language.asking import Asking
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
+    from tensordict import TensorDict
     from torch import Tensor
 
     from bbq_torchrl.people.dialogue.exchange import Memory
@@ -94,7 +95,17 @@ class WaysOut:
         if len(found) < 2:
             refused = self.refused(now)
             change = {number: found[0]} if found else {}
-            nearest = self._records.nearest
+            nearest, is_met = self._records.nearest, not self._records.best(held)[2]
+            change = change or nearest(held, refused, slot=number, direction=way, is_here=True)
+            if is_met and not change:
+                use = {1: "nothing_later", -1: "nothing_earlier"}.get(way, "no_other")
+                here = torch.where(self._place, self._records.lasting(held), NONE)
+                place = self._tracking.values(here)
+                sentence = self._nlg.say(use, [self._slots[number]], values=place, **words)
+                if bool(now.state["offered"]):
+                    sentence += f" {self._nlg.say('stands', **words)}"
+                now = replace(now, proposal={}, asking=Asking())
+                return Answer(sentence, reading, reading.frame, Frame("not_sure"), now)
             change = change or nearest(held, refused, slot=number, direction=way)
             change = change or nearest(held, refused, asked=[number])
             return self.propose(now, reading, change, words)
@@ -140,6 +151,13 @@ class WaysOut:
             for one in now.refused
         ]
 
+    def record(self, state: TensorDict) -> dict[str, str]:
+        """Returns the values held in a state, and where and when the nearest record is."""
+        told = full(state)
+        row = self._records.row(told, {})
+        where = torch.where(row != NONE, row, told)
+        return self._tracking.values(torch.where(self._place, where, state["held"]))
+
     def propose(
         self,
         now: Memory,
@@ -174,7 +192,8 @@ class WaysOut:
             now = replace(now, proposal={}, times=0)
             return Answer(sentence, reading, reading.frame, Frame("not_sure"), now)
         conflict = {slot: int(held[slot]) for slot in records.conflict(held)}
-        use, named = "way_out" if conflict else "another", proposal
+        is_near = not conflict or records.is_same_day(held, change)
+        use, named = "another" if is_near else "way_out", proposal
         if times > 1:
             use, named = "whole", self._tracking.values(torch.where(self._place, row, ids))
         sentence = self._nlg.say(use, values=self._values(conflict), other=named, **words)
