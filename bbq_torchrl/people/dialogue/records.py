@@ -155,10 +155,10 @@ class Records:
         """
         differs, lacks = self.compare(held)
         absent = (lacks & ~self.minor).sum(-1)
-        far, nowhere = (part & self._is_place for part in self.compare(self._implied(held)))
+        far, nowhere = (part & self._is_lasting for part in self.compare(self._implied(held)))
         cost = (differs * self._costs).sum(-1) + torch.where(absent > 1, 1e4, 10.0) * absent
         cost += (lacks & self.minor).sum(-1)
-        cost += _PLACE * (far.any(-1) + 1.2 * nowhere.any(-1))
+        cost += _PLACE * ((far & self._is_place).any(-1) + 1.2 * nowhere.any(-1))
         cost += _PLACE / 2 * (~self.has[:, list(asked)]).sum(-1)
         for number, days in self._days.items():
             is_near = differs[:, number] & (days[self._values[:, number]] == days[held[number]])
@@ -171,7 +171,7 @@ class Records:
         is_out = ~differs.any(-1) if slot is None else ~differs[:, slot]
         if is_here:
             stays = self._is_lasting & (torch.arange(len(held)) != slot)
-            is_out |= ((differs | far) & stays).any(-1)
+            is_out |= ((far | nowhere) & stays).any(-1)
         for change in refused:
             slots, values = (list(part) for part in zip(*change, strict=True))
             is_out |= (self._values[:, slots] == torch.tensor(values)).all(-1)
