@@ -44,7 +44,7 @@ class VoteModule(TensorDictModuleBase):
         >>> import torch
         >>> from tensordict import TensorDict
         >>> from torchrl.data import Categorical
-        >>> from bbq_torchrl.networks.q_actor import VoteModule
+        >>> from bbq_torchrl.networks.vote import VoteModule
         >>> vote = VoteModule(Categorical(3), action_mask_key=None)
         >>> values = torch.tensor([[[9.0, 1.0, 0.0], [0.0, 1.0, 0.0], [0.0, 2.0, 1.0]]])
         >>> td = vote(TensorDict(head_value=values, batch_size=[1]))

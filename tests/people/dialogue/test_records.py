@@ -42,7 +42,8 @@ def test_a_record_of_absent_values_contradicts_and_offers_nothing(kept, movie):
     records, ids = kept({"genre": "horror"})
     held = ids(moviename="wonka", city="newark")
     differs, lacks, distance = records.best(held)
-    assert (int(differs.sum()), int(lacks.sum()), int(distance)) == (0, 2, 2)
+    assert (int(differs.sum()), int(lacks.sum())) == (0, 2)
+    assert distance > 0
     assert records.nearest(held) == {}
     assert records.choices(held, movie.slots.index("city")) == []
     assert not records.is_listed(movie.slots.index("city"))
