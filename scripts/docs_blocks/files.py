@@ -5,8 +5,7 @@ from __future__ import annotations
 import sys
 
 from bbq_torchrl.utils.statistics import estimate
-from scripts.docs_blocks.common import RESULTS, ROOT, block, code, read_csv, short, table
-from scripts.talks.counts import SHARES, shares
+from scripts.docs_blocks.common import RESULTS, ROOT, block, code, pivot, read_csv, short, table
 
 EXAMPLES = ROOT / "examples"
 _SUMMARY = {
@@ -15,7 +14,6 @@ _SUMMARY = {
     "pass^8": "pass_8",
 }
 """Column of the benchmark's summary -> column of its file."""
-_FEW = "five cards"  # the label of the measurement of all agents
 
 
 @block("deep_sea.results")
@@ -104,13 +102,23 @@ def _mean(rows: list[dict[str, str]], key: str) -> str:
     return mean if len(values) == 1 else f"{mean} ({min(values):.2f}–{max(values):.2f})"
 
 
-@block("chat.talks_agents")
-def _talks_of_agents() -> str:
-    """Returns the shares of conversations of each shipped agent."""
-    rows = [row for row in read_csv("talks.csv") if row["label"] == _FEW]
-    found = {
-        agent.removeprefix("shipped:"): shares(row for row in rows if row["agent"] == agent)
-        for agent in dict.fromkeys(row["agent"] for row in rows)
+@block("chat.strangers")
+def _strangers() -> str:
+    """Returns what came of conversations typed by strangers to the code, a column for each set."""
+    quantities = {
+        "success by the study's judge": ("judge", None),
+        "success as the person felt it": ("felt", None),
+        "gave up": ("gave_up", None),
+        "questions not answered in the next reply": ("unanswered", "questions"),
+        "other than a yes to an offer: answered": ("after_offer_answered", "after_offer"),
+        "follow-ups to no match that helped": ("no_match_helped", "no_match"),
+        "needless checks, of all messages": ("checks", "messages"),
+        "booked, or ended, against the person's will": ("against_will", None),
     }
-    lines = [(name, *(of[name] for of in found.values())) for name in SHARES]
-    return table(("", *found), lines, numbers=len(found))
+    cells, rows = {}, read_csv("strangers.csv")
+    for commit in dict.fromkeys(row["commit"] for row in rows):
+        own = [row for row in rows if row["commit"] == commit]
+        for name, (key, of) in quantities.items():
+            total = len(own) if of is None else sum(int(row[of]) for row in own)
+            cells[name, f"at {commit}"] = f"{sum(int(row[key]) for row in own)} of {total}"
+    return pivot("", cells)

@@ -64,6 +64,24 @@ def _width() -> str:
     )
 
 
+@block("results.gp_greedy")
+def _draws() -> str:
+    """Returns what the Gaussian process books by its draws, and what it books greedily."""
+    both = group("gp"), group("gp_greedy")
+    seeds = {seed for seed, *_ in both[1].members}
+    rows, kept = [], []
+    for name, one in zip(("Thompson sampling", "greedily"), both, strict=True):
+        early, end = (
+            [value for value, (seed, *_) in zip(values, one.members, strict=True) if seed in seeds]
+            for values in (one.booked(EARLY), one.final)
+        )
+        rows.append((name, estimate(early), estimate(end)))
+        kept.append((early, end))
+    differences = [paired(*pair) for pair in zip(*kept, strict=True)]
+    head = (f"Gaussian process, {len(seeds)} seeds", f"booked of the first {EARLY:,}", "at the end")
+    return table(head, [*rows, ("difference", *differences)], numbers=2)
+
+
 @block("results.visits")
 def _visits() -> str:
     """Returns what DQN books early by a process of what was visited, next to other explorers."""
