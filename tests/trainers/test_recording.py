@@ -105,6 +105,7 @@ def row(replica: int, evaluated: float = math.nan, **changed: float) -> dict[str
 
 def test_the_bar_shows_means_over_the_replicas_and_the_last_evaluation(capsys, monkeypatch):
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "200")  # of a fast machine, the rate alone has many digits
     bar = RoundProgress(10, done=4)
     for evaluated in (math.nan, 0.5, math.nan):
         bar.update([row(0, evaluated), row(1, evaluated)])
