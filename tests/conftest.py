@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 
 # Read when torch first looks for a GPU. Once its gradients have seen one, this process cannot be
@@ -32,6 +33,9 @@ DEFAULT_TCBOT = TESTS.parent.parent / "shared" / "data" / "tcbot"
 # They hold no doctests, and several of one name cannot be collected as modules.
 collect_ignore_glob = ["*conftest.py"]
 
+# Until all is imported, which makes many objects and no garbage.
+gc.disable()
+
 # More threads than tests at a time only get in each other's way on a small machine.
 torch.set_num_threads(1)
 
@@ -41,8 +45,16 @@ torch.ones((), requires_grad=True).backward()
 
 # What a test of Hypothesis draws depends on the test alone, as in CI; how long an example takes, on
 # the machine, and no test is about that.
-settings.register_profile("same_draws", settings.default, derandomize=True, deadline=None)
+settings.register_profile(
+    "same_draws", settings.default, derandomize=True, deadline=None, max_examples=30
+)
 settings.load_profile("same_draws")
+
+
+def pytest_collection_finish() -> None:
+    """From here on garbage is collected, but not among what was imported, which stays."""
+    gc.freeze()
+    gc.enable()
 
 
 @pytest.fixture(autouse=True)
@@ -69,7 +81,7 @@ def drawn_noise(monkeypatch: pytest.MonkeyPatch) -> list[torch.Tensor]:
 
 @pytest.fixture(scope="module")
 def without_curves() -> Iterator[None]:
-    """Curves are empty files."""
+    """Curves are empty files, and no other policy is played at the end of a run."""
     with without_drawing():
         yield
 

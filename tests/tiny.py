@@ -47,8 +47,13 @@ def composed(*overrides: str) -> Config:
 
 @contextmanager
 def without_drawing() -> Iterator[None]:
-    """Within it curves are empty files: drawing one takes as long as a short training."""
+    """Within it curves are empty files, and no scripted policy is played beside the agent.
+
+    Either takes as long as a short training.
+    """
+    others = {"scripted": {"random": 0.5}, "references": {}}
     with pytest.MonkeyPatch.context() as patch:
+        patch.setattr("bbq_torchrl.runs.final._others", lambda *_: others)
         patch.setattr("bbq_torchrl.runs.final.draw_run", lambda file, *_, **__: file.touch())
         yield
 

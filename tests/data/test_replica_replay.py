@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 import torch
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from tensordict import TensorDict
 from torchrl.envs import Compose, RewardScaling, Transform
 
@@ -112,7 +112,6 @@ ACTS = st.one_of(
 )
 
 
-@settings(max_examples=40)
 @given(st.lists(ACTS, max_size=8))
 def test_each_replica_keeps_what_is_protected_and_the_newest_of_the_rest(acts):
     """Compared with two lists for each replica, for any sequence of operations."""

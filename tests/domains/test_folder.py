@@ -6,7 +6,7 @@ import tempfile
 from dataclasses import replace
 
 import pytest
-from hypothesis import assume, given, settings, strategies as st
+from hypothesis import assume, given, strategies as st
 
 from bbq_torchrl.domains import Goal, load_domain
 from bbq_torchrl.domains.folder import save_data
@@ -71,7 +71,6 @@ RECORD = st.dictionaries(st.sampled_from(SLOTS), VALUE, min_size=1)
 @given(
     records=st.lists(RECORD, min_size=1, max_size=5), extra=st.lists(VALUE, min_size=1, max_size=3)
 )
-@settings(max_examples=60)
 def test_any_records_goals_and_values_survive_the_files(restaurant_folder, records, extra):
     goals = tuple(Goal(record, ("phone",)) for record in records)
     values = {"hour": tuple(extra)}

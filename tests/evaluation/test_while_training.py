@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from tiny import TINY
+from tiny import TINY, composed, nightly, without_drawing
 from torch.testing import assert_close
 
 from bbq_torchrl import load_run
@@ -14,7 +14,6 @@ from bbq_torchrl.cli import evaluate as command
 from bbq_torchrl.evaluation.curves import read_metrics
 from bbq_torchrl.evaluation.rollouts import evaluate
 from bbq_torchrl.evaluation.run_result import read_result
-from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import build_trainer, run
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils.seeds import derive_seed
@@ -39,12 +38,9 @@ AGENTS = {
 }
 
 
-pytestmark = pytest.mark.usefixtures("without_curves")
-
-
 @pytest.fixture
 def small(restaurant_folder):
-    return lambda *choices: compose([*SMALL, f"domain.path={restaurant_folder}", *choices])
+    return lambda *choices: composed(*SMALL, f"domain.path={restaurant_folder}", *choices)
 
 
 def played(config, trainer, actor, round_number):
@@ -55,11 +51,14 @@ def played(config, trainer, actor, round_number):
     return evaluate(env, config.agent.make_evaluation(actor)[1], 15, seed=seed)
 
 
-@pytest.mark.parametrize("agent", AGENTS)
+@pytest.mark.parametrize(
+    "agent", nightly(AGENTS, ["new draws, by the dialogue", "domain extension"])
+)
 def test_a_row_has_what_the_policy_does_and_training_is_bitwise_the_same(small, tmp_path, agent):
     learned, rows = [], []
     for every in (0, 2):
-        config = small(*AGENTS[agent], f"protocol.eval_every={every}", "protocol.rounds=4")
+        config = small(*AGENTS[agent], "protocol.rounds=4")
+        config.protocol.eval_every = every
         trainer, parts = build_trainer(config, tmp_path / str(every))
         trainer.train()
         learned.append(trainer.learner.loss.state_dict())
@@ -86,7 +85,8 @@ def test_a_row_has_what_the_policy_does_and_training_is_bitwise_the_same(small, 
 
 def test_the_best_network_plays_as_it_did(small, tmp_path):
     config = small("agent=dqn", "protocol.rounds=6", "protocol.eval_every=1")
-    run(config, tmp_path)
+    with without_drawing():
+        run(config, tmp_path)
     given = [f"policy={tmp_path}", "dialogues=15", "weights=best"]
     assert command.evaluation(command.composed(given))["weights"] == "best"
 

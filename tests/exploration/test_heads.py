@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from q_actor import ACTIONS, FEATURES, SPEC, heads_actor, observations
 from scipy.stats import chisquare
 from tensordict import TensorDict
@@ -60,7 +60,6 @@ def winner(values, mask):
     return next(a for a in tied if total[a] == max(total.values()))
 
 
-@settings(max_examples=100)
 @given(st.data(), st.integers(1, 5), st.integers(1, 4))
 def test_the_vote_is_the_one_of_a_plain_count(data, heads, actions):
     # few different numbers, exact in floating point, so that ties of all kinds are common

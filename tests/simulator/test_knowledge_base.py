@@ -3,7 +3,7 @@
 from dataclasses import replace
 
 import torch
-from hypothesis import given, settings, strategies as st
+from hypothesis import given, strategies as st
 from oracle.dialogue import value_order_of
 from oracle.knowledge_base import Records
 from oracle.small import SLOTS, small_domain
@@ -30,7 +30,6 @@ def looked_up(draw):
     return records, held | draw(st.dictionaries(st.sampled_from(SLOTS[:6]), other, max_size=1))
 
 
-@settings(max_examples=150)
 @given(drawn=looked_up(), slot=st.sampled_from(INFORMED))
 def test_look_ups_are_those_of_the_oracle(drawn, slot):
     records, held = drawn
