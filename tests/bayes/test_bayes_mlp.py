@@ -39,8 +39,8 @@ def test_its_modes_are_the_networks_of_the_means_and_of_one_draw(replicas):
 @pytest.mark.parametrize("mode", ["draw", "local", "mean"])
 @pytest.mark.parametrize("replicas", [(), (2,)])
 def test_gradcheck_in_every_mode(mode, replicas):
-    net = trained(BayesMLP(3, 2, (4,), replicas=replicas, dtype=torch.double))
-    x = torch.randn(*replicas, 5, 3, dtype=torch.double, requires_grad=True)
+    net = trained(BayesMLP(2, 2, (3,), replicas=replicas, dtype=torch.double))
+    x = torch.randn(*replicas, 2, 2, dtype=torch.double, requires_grad=True)
 
     def call(x, mu, rho):
         torch.manual_seed(0)

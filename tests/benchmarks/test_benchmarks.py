@@ -2,6 +2,7 @@
 
 import pytest
 import torch
+from tiny import nightly
 from torch.utils.flop_counter import FlopCounterMode
 
 from bbq_torchrl.envs import DialogueEnv
@@ -30,10 +31,10 @@ def commands(monkeypatch):
     return asked
 
 
-SLOW = [pytest.param(part, marks=pytest.mark.slow) for part in ("agents", "time_to_learn", "floor")]
+OTHERS = ("simulator", "update", "agents", "time_to_learn", "floor")
 
 
-@pytest.mark.parametrize("part", ["simulator", "update", "round", *SLOW])
+@pytest.mark.parametrize("part", nightly(["round", *OTHERS], ["round"]))
 def test_part_gives_positive_figures(part, monkeypatch):
     monkeypatch.setattr(updates, "TARGETS", {"bbqn-map": (1.0, 1.0)})
     rows = compare.PARTS[part](TINY)
@@ -42,7 +43,7 @@ def test_part_gives_positive_figures(part, monkeypatch):
     assert all(row.measured > 0 for row in rows if row.unit != "%")
 
 
-@pytest.mark.parametrize("part", [pytest.param("same", marks=pytest.mark.slow), "turns", "updates"])
+@pytest.mark.parametrize("part", nightly(["same", "turns", "updates"], ["turns"]))
 def test_the_gpu_benchmark_runs_on_a_cpu_whose_training_equals_itself(part, tmp_path, capsys):
     file = tmp_path / "gpu.csv"
     chosen = ["--device=cpu", "--tiny", f"--file={file}", "--parts", part]

@@ -96,6 +96,7 @@ def test_every_cell_has_a_command_a_commit_and_versions(made):
         assert {"commit", "clean"} <= cell.keys()
 
 
+@pytest.mark.slow
 def test_a_killed_bench_continues(made, tmp_path):
     with (tmp_path / "out").open("w") as out:
         child = forked.start(

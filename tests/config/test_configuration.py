@@ -4,7 +4,7 @@ import re
 from dataclasses import asdict
 
 import pytest
-from tiny import composed
+from tiny import composed, nightly
 
 from bbq_torchrl.evaluation.finished_runs import agent_name
 from bbq_torchrl.options import explorations, registry
@@ -30,7 +30,9 @@ RECIPES = {  # the paper's name, network, exploration, target, intrinsic reward
 }
 
 
-@pytest.mark.parametrize("recipe", RECIPES)
+@pytest.mark.parametrize(
+    "recipe", nightly(RECIPES, ["agents/bbqn_mc", "agents/dqn_bootstrap", "agents/noisy_dqn"])
+)
 def test_a_recipe_composes_the_agent_that_the_paper_gives_its_name(recipe):
     config = compose([f"+experiment={recipe}", "env=domain_ext"])
     agent, explore = config.agent.name, config.explore.name
@@ -74,7 +76,7 @@ def test_a_message_shows_a_reference_and_not_its_value(override, monkeypatch):
 BEYOND_AGENTS = [n for n in options("experiment") if "/" not in n and n != "paper_start"]
 
 
-@pytest.mark.parametrize("experiment", BEYOND_AGENTS)
+@pytest.mark.parametrize("experiment", nightly(BEYOND_AGENTS, ["tcbot", "table1_full"]))
 def test_an_experiment_leaves_the_agent_to_the_command_line(experiment):
     files = ["domain.path=corpus"] if experiment == "tcbot" else []
     config = compose([f"+experiment={experiment}", "agent=bootstrap", "protocol.rounds=7", *files])

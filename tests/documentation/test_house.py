@@ -6,6 +6,7 @@ import re
 import forked
 import grimp
 import networkx
+import pytest
 
 from scripts.docs_blocks import house
 
@@ -77,6 +78,7 @@ print(*sorted(asked - sys.stdlib_module_names - {"bbq_torchrl"}))
 """
 
 
+@pytest.mark.slow
 def test_options_need_no_torch_dialogues_no_torchrl_and_the_parts_no_dialogue():
     asked, _ = forked.python("-c", PROGRAM, cwd=ROOT)
     assert asked.split() == ["numpy", "tensordict", "torch", "torchrl"]

@@ -9,10 +9,9 @@ from dataclasses import fields
 from pathlib import Path
 
 import pytest
-from tiny import TINY
+from tiny import TINY, composed
 
 from bbq_torchrl.options import Config, EvaluateConfig, schemas
-from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import run
 from scripts import write_docs
 
@@ -140,7 +139,7 @@ OF_A_CHOICE = {
 def run_folder(request, tmp_path_factory, without_curves):
     """The folder of a tiny run; between them, the two have every column there is."""
     folder = tmp_path_factory.mktemp("run")
-    run(compose([*request.param, *TINY, "protocol.rounds=1"]), folder)
+    run(composed(*request.param, *TINY, "protocol.rounds=1"), folder)
     return folder
 
 

@@ -127,12 +127,14 @@ def test_other_options_are_refused(env, options, message):
 
 
 @pytest.mark.parametrize("schedule", [None, ExtensionSchedule(start=1, every=1)], ids=str)
-def test_torchrls_gymenv_finds_the_mask(schedule):
-    made = GymEnv(ENV_ID, mask_in_observation=True, schedule=schedule, max_turn=12)
+def test_torchrls_gymenv_finds_the_mask(restaurant, schedule):
+    given = {"domain": restaurant, "schedule": schedule, "max_turn": 12}
+    made = GymEnv(ENV_ID, mask_in_observation=True, **given)
     env = TransformedEnv(made, ActionMask())
     check_env_specs(env)
     legal = torch.from_numpy(made.unwrapped.action_masks())
-    for policy in (None, q_actor(BayesMLP(268, 39), env.action_spec_unbatched)):
+    network = BayesMLP(env.observation_spec["observation"].shape[-1], len(legal))
+    for policy in (None, q_actor(network, env.action_spec_unbatched)):
         played = env.rollout(30, policy, break_when_any_done=False)
         assert played["action_mask"].dtype == torch.bool
         assert (played["action_mask"] == legal).all()

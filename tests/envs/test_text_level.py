@@ -222,6 +222,7 @@ def test_errors_are_counted_and_drawn_again(movie, counted):
     assert torch.equal(heard, said * ~date)
 
 
+@pytest.mark.slow
 def test_errors_are_counted_of_a_policy_that_has_a_memory(movie, counted):
     domain = replace(movie, policies={"repair": movie.policies["repair"]})
     assert counted(domain)["turns"] >= 500
@@ -259,6 +260,7 @@ def test_who_is_always_understood_is_counted_so(restaurant, counted):
         assert_heard_as_meant(state)
 
 
+@pytest.mark.slow
 def test_trained_agents_play_half_of_what_is_counted(movie, counted):
     tells = SequencePolicy([movie.action_index("inform(zip)")])  # in every turn
     counts = counted(movie, 800, {"own": tells})

@@ -182,6 +182,7 @@ def compared(*folders):
 
 def test_the_same_replica_of_two_agents_sees_the_same_dialogues(tmp_path):
     small = ["replicas=2", "protocol.dialogues=6", "spike.dialogues=6", "agent.hidden=[8]"]
+    small += ["domain=hotel", "protocol.capacity=1000"]
     spiked, goals = [], []
     for overrides in (["agent=bbqn"], ["agent=dqn"]):
         trainer, _ = build_trainer(compose([*overrides, *small]), tmp_path / overrides[-1])

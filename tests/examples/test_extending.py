@@ -7,6 +7,7 @@ import forked
 import pytest
 import torch
 from extended import PACKAGE, SHRUNKEN
+from tiny import composed, nightly
 from torchrl.data import Composite, Unbounded
 
 from bbq_torchrl.cli import evaluate
@@ -35,7 +36,7 @@ def finished(installed, tmp_path_factory):
     folders = {}
     for name, choices in RUNS.items():
         folders[name] = tmp_path_factory.mktemp("run")
-        run(compose([*choices, *SHRUNKEN]), folders[name])
+        run(composed(*choices, *SHRUNKEN), folders[name])
     return folders
 
 
@@ -84,15 +85,15 @@ def makes_chains(batch_size=(2, 3), features=None, action=None):
     ],
 )
 def test_the_environment_of_an_option_is_checked(make, monkeypatch, tmp_path):
-    config = compose(["agent=bbqn", "explore=thompson", *SHRUNKEN])
+    config = composed("agent=bbqn", "explore=thompson", *SHRUNKEN)
     monkeypatch.setattr(type(config.env), "make", make)
     with pytest.raises(ConfigError, match="env=chain"):
         build_trainer(config, tmp_path)
 
 
-@pytest.mark.parametrize("name", RUNS)
+@pytest.mark.parametrize("name", nightly(RUNS, ["strategy and intrinsic reward"]))
 def test_a_resumed_run_ends_bitwise_as_one_that_was_not_interrupted(name, finished, tmp_path):
-    config = compose([*RUNS[name], *SHRUNKEN])
+    config = composed(*RUNS[name], *SHRUNKEN)
     one_round = dataclasses.replace(config.protocol, rounds=1)
     run(dataclasses.replace(config, protocol=one_round), tmp_path)
     run(dataclasses.replace(config, resume=str(tmp_path)), tmp_path)

@@ -26,11 +26,12 @@ NOTEBOOK = EXAMPLES / "tutorial.ipynb"
             r"mean network, 20 episodes: return (\d+\.\d) of at most 500",
             {"bayes", "exploration", "networks", "objectives"},
         ),
-        (
+        pytest.param(
             "cartpole_vime",
             "300",
             r"mean return of the last 10 episodes: ([\d.]+)",
             {"exploration", "networks", "objectives", "vime"},
+            marks=pytest.mark.slow,
         ),
     ],
 )
@@ -156,6 +157,7 @@ def same_weights(trainer, weights):
     )
 
 
+@pytest.mark.slow
 def test_the_active_agents_rounds_are_those_of_an_ordinary_run(example, tmp_path):
     trainers = example["make_trainers"]("bbqn_map", "dqn", TINY, tmp_path)
     rows = [row for part in example["tandem"](*trainers) for row in part]

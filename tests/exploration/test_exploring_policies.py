@@ -59,42 +59,38 @@ def policies(replicas, spec=SPEC):
     return made
 
 
-NAMES = list(policies(()))
-
-
 @pytest.mark.parametrize("replicas", [(), (3,)])
-@pytest.mark.parametrize("name", NAMES)
 @pytest.mark.parametrize(
     ("exploration", "spec"),
     [(RANDOM, SPEC), (DETERMINISTIC, SPEC), (None, SPEC), (None, OneHot(ACTIONS))],
     ids=["random", "deterministic", "none", "one-hot"],
 )
-def test_no_policy_takes_a_forbidden_action(replicas, name, exploration, spec):
-    policy = policies(replicas, spec)[name]
+def test_no_policy_takes_a_forbidden_action(replicas, exploration, spec):
     with set_exploration_type(exploration):
-        for rows in (200, 200, 0):
-            td = policy(observations(*replicas, rows, same=False))
-            assert td["action"].shape == (*replicas, rows, *spec.shape)
-            assert td["action"].dtype == torch.int64
-            assert all_legal(td)
+        for name, policy in policies(replicas, spec).items():
+            for rows in (200, 200, 0):
+                td = policy(observations(*replicas, rows, same=False))
+                assert td["action"].shape == (*replicas, rows, *spec.shape), name
+                assert td["action"].dtype == torch.int64, name
+                assert all_legal(td), name
 
 
-@pytest.mark.parametrize("name", NAMES)
-def test_policies_have_specs_keys_and_copies_with_networks_of_their_own(name):
-    policy, td = policies((3,))[name], observations(3, 4)
-    assert {"observation", "action_mask"} <= set(policy.in_keys)
-    assert "action" in policy.out_keys
-    if not isinstance(policy, TensorDictSequential):
-        assert policy.spec["action"] == SPEC
-    values(policy, td)  # where draws are held, the copy holds the same
-    found = []
-    for made in (policy, deepcopy(policy)):
-        torch.manual_seed(0)
-        found.append(values(made, td))
-        with torch.no_grad():
-            for parameter in made.parameters():
-                parameter.add_(1.0)
-    assert torch.equal(*found)
+def test_policies_have_specs_keys_and_copies_with_networks_of_their_own():
+    td = observations(3, 4)
+    for name, policy in policies((3,)).items():
+        assert {"observation", "action_mask"} <= set(policy.in_keys), name
+        assert "action" in policy.out_keys, name
+        if not isinstance(policy, TensorDictSequential):
+            assert policy.spec["action"] == SPEC, name
+        values(policy, td)  # where draws are held, the copy holds the same
+        found = []
+        for made in (policy, deepcopy(policy)):
+            torch.manual_seed(0)
+            found.append(values(made, td))
+            with torch.no_grad():
+                for parameter in made.parameters():
+                    parameter.add_(1.0)
+        assert torch.equal(*found), name
 
 
 @pytest.mark.parametrize("policy", [Greedy, EvaluationPolicy, MajorityVote, BootstrapSampling])

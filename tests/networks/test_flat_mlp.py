@@ -29,7 +29,7 @@ def test_values_and_gradients_equal_those_of_separate_networks(replicas, batch, 
 
 
 def test_gradcheck_with_dropout():
-    x = torch.randn(2, 6, 5, dtype=torch.double, requires_grad=True)
+    x = torch.randn(2, 2, 5, dtype=torch.double, requires_grad=True)
     flat = torch.randn(2, LAYOUT.numel, dtype=torch.double, requires_grad=True)
 
     def same_masks(a, b):

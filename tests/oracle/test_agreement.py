@@ -89,12 +89,14 @@ def test_the_simulator_agrees_with_the_oracle_on_our_movies(movie):
     assert_at_work(RULES, play(movie, 160, seed=0))
 
 
+@pytest.mark.slow
 def test_the_simulator_agrees_with_the_oracle_on_the_public_corpus(miulab, tcbot):
     assert_at_work(BOOKS, play(miulab, 60, seed=100, settings=FEW))
     first = load_miulab(tcbot, goals="user_goals_first_turn_template.part.movie.v1.p")
     assert_at_work(BOOKS, play(first, 40, seed=200, settings=FEW))
 
 
+@pytest.mark.slow
 def test_the_simulator_agrees_with_the_oracle_on_restaurants(restaurant):
     assert_at_work(BOOKS, play(restaurant, 40, seed=300))
 
@@ -103,6 +105,7 @@ def test_the_simulator_agrees_with_the_oracle_where_goals_and_errors_are_odd():
     assert_at_work(RARE_RULES, play(many_wishes(), 120, seed=400))
 
 
+@pytest.mark.slow
 def test_the_simulator_agrees_with_the_oracle_where_several_slots_open_a_dialogue_or_none(
     movie, restaurant
 ):
@@ -112,9 +115,13 @@ def test_the_simulator_agrees_with_the_oracle_where_several_slots_open_a_dialogu
     assert play(none, 20, seed=700, settings=FEW)["open: the opening slot"] == 0
 
 
-def test_the_simulator_agrees_with_the_oracle_on_users_that_differ(movie, restaurant):
+def test_the_simulator_agrees_with_the_oracle_on_users_that_differ(movie):
     played = play(movie, 120, seed=800, settings=USERS)
     assert_at_work(PERSON_RULES, played)
+
+
+@pytest.mark.slow
+def test_the_simulator_agrees_with_the_oracle_on_users_that_differ_in_other_domains(restaurant):
     assert_at_work(BOOKS, play(many_wishes(), 60, seed=900, settings=USERS))
     few = [replace(setting, users=MIXES["mixed"]) for setting in FEW]
     assert_at_work(BOOKS, play(restaurant, 40, seed=950, settings=few))

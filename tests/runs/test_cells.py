@@ -5,7 +5,7 @@ from itertools import cycle, product
 
 import pytest
 import torch
-from tiny import TINY, rows
+from tiny import TINY, nightly, rows
 from torch.testing import assert_close
 
 from bbq_torchrl.cli import evaluate
@@ -44,7 +44,12 @@ CELLS |= {
     ),
 }
 
-NAMED = ("agent", "explore", "env", "intrinsic", "agent.target", "agent.features")
+DAILY = (  # each agent, environment and reward; each strategy trains in some other daily test
+    "bbqn-thompson_boltzmann-domain_ext-none",
+    "bootstrap-bootstrap-full-none",
+    "dqn-epsilon_greedy-domain_ext-vime",
+    "gp-thompson-domain_ext-vime",
+)
 
 pytestmark = pytest.mark.usefixtures("without_curves")
 
@@ -65,16 +70,7 @@ def trained(config, folder):
     return run(config, folder, [keep]), learned
 
 
-def daily_or_nightly():
-    """Each agent, strategy, environment and reward once a day, the other cells nightly."""
-    met = set()
-    for name, choices in CELLS.items():
-        chosen = {choice for choice in choices if choice.partition("=")[0] in NAMED}
-        yield pytest.param(name, marks=() if chosen - met else pytest.mark.slow)
-        met |= chosen
-
-
-@pytest.mark.parametrize("cell", list(daily_or_nightly()))
+@pytest.mark.parametrize("cell", nightly(CELLS, DAILY))
 def test_a_cell_trains_at_once_or_resumed_bitwise_the_same_and_evaluates(cell, tmp_path):
     whole, parts = tmp_path / "whole", tmp_path / "parts"
     config = composed(*CELLS[cell])

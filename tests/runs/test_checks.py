@@ -5,6 +5,7 @@ import logging
 import pickle
 import re
 import shutil
+from dataclasses import replace
 
 import pytest
 from tiny import TINY
@@ -74,7 +75,8 @@ def test_a_script_that_succeeds_spikes_the_first_or_the_best(never, caplog, spik
     where = never("rule", "second", rest=early + careful + early.replace("early", "later"))
     choice = () if spike == "default" else (f"spike={spike}",)
     with caplog.at_level(logging.INFO):
-        found = {spiking(compose([*SHORT, *where, *choice, f"seed={seed}"])) for seed in (0, 1)}
+        config = compose([*SHORT, *where, *choice])
+        found = {spiking(replace(config, seed=seed)) for seed in (0, 1)}
     assert found == {expected}
     assert any(expected in text for text in caplog.messages)
 

@@ -4,6 +4,7 @@ import json
 import re
 
 import forked
+import pytest
 
 FILES = 85
 FUNCTIONS = 520
@@ -47,6 +48,7 @@ train.main()
 """
 
 
+@pytest.mark.slow
 def test_a_training_enters_few_files_and_functions_before_its_first_gradient_step(tmp_path):
     out, _ = forked.python("-c", COUNT, forked.ROOT, tmp_path / "run", cwd=tmp_path)
     entered = {tuple(place) for place in json.loads(out.splitlines()[-1])}

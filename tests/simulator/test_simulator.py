@@ -28,11 +28,10 @@ def play(simulator, shape, turns=12):
     return state, action, draws, active
 
 
-@pytest.mark.parametrize("domain_name", ["movie", "restaurant"])
 @pytest.mark.parametrize("shape", [(), (1,), (2, 1, 4), (0,)])
 @pytest.mark.parametrize("users", ["paper", "people"])
-def test_a_batch_of_any_shape_plays_as_the_flat_one(domain_name, shape, users, request):
-    simulator = simulator_of(request.getfixturevalue(domain_name), users=users)
+def test_a_batch_of_any_shape_plays_as_the_flat_one(restaurant, shape, users):
+    simulator = simulator_of(restaurant, users=users)
     count = torch.Size(shape).numel()
     for turns in (0, 12):
         state, *_, active = play(simulator, shape, turns)

@@ -39,7 +39,7 @@ AGENTS = {
 }
 
 
-DAILY = ("bbqn_mc", "dqn_bootstrap", "dqn_vime_map", "noisy_dqn")
+DAILY = ("bbqn_mc", "dqn_bootstrap", "noisy_dqn")
 
 
 @pytest.mark.filterwarnings("ignore:No target network updater")  # on a device without numbers

@@ -103,7 +103,7 @@ def reference(tmp_path_factory) -> RoundTrainer:
     return trainer
 
 
-DAILY = ("in the middle of an epoch", "while a checkpoint is written", WITHIN_A_LINE)
+DAILY = ("while a checkpoint is written", WITHIN_A_LINE)
 
 
 @pytest.mark.parametrize("moment", nightly([*MOMENTS, WITHIN_A_LINE], DAILY))
