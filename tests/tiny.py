@@ -6,7 +6,7 @@ import copy
 import csv
 from contextlib import contextmanager
 from functools import cache
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import pytest
 
@@ -58,7 +58,7 @@ def without_drawing() -> Iterator[None]:
         yield
 
 
-def nightly(names: Iterable[str], daily: Collection[str]) -> list:
+def nightly(names: Iterable[Any], daily: Collection[Any]) -> list:
     """Parameters of which all but the daily ones are slow."""
     return [one if one in daily else pytest.param(one, marks=pytest.mark.slow) for one in names]
 

@@ -1,7 +1,7 @@
 """Bad input is refused in a message that names the fault, and leaves no files behind.
 
 A row of the table ``bad_input.yaml`` has the command, the damage to its folder, and a part of the
-message: a key, a file or a value. One row of each rule is tested daily, all rows nightly.
+message: a key, a file or a value. One row of each way to refuse is tested daily, all rows nightly.
 """
 
 import importlib

@@ -2,7 +2,6 @@
 
 import pytest
 import yaml
-from tiny import nightly
 
 from bbq_torchrl.options.registry import conf_folder, options
 from bbq_torchrl.search.definition import compose_search
@@ -14,7 +13,8 @@ VARIED = {
 }
 
 
-@pytest.mark.parametrize("name", nightly(options("search"), ["dqn_boltzmann"]))
+@pytest.mark.slow  # daily, the example of compose_search
+@pytest.mark.parametrize("name", options("search"))
 def test_our_search_can_be_run_at_every_bound_and_varies_what_its_agent_has(name):
     found = compose_search([f"search={name}"])
     assert found.folder.name == f"search_{name}"

@@ -256,7 +256,7 @@ def test_neither_a_turn_nor_a_reset_waits_for_the_device(restaurant, users):
         env._reset()
 
 
-@pytest.mark.parametrize("mode", ["value", "slot", "delete", "mixed", "measured"])
+@pytest.mark.parametrize("mode", ["mixed", "measured"])
 def test_everything_that_a_turn_uses_is_on_its_device(movie, restaurant, mode):
     # Tensors on the device "meta" have no numbers: code that reads one, or mixes them with tensors
     # on the CPU, fails.

@@ -7,6 +7,7 @@ from functools import partial
 import numpy as np
 import pytest
 import torch
+from tiny import nightly
 from torchrl.collectors import MultiAsyncCollector, MultiSyncCollector
 from torchrl.envs import EnvCreator, ParallelEnv, SerialEnv, TransformedEnv
 
@@ -61,7 +62,7 @@ def made(restaurant, with_state):
     return TransformedEnv(env, EnvState()) if with_state else env
 
 
-@pytest.mark.parametrize("with_state", [False, True])
+@pytest.mark.parametrize("with_state", nightly([False, True], [True]))
 @pytest.mark.parametrize(
     ("kind", "start"),
     [

@@ -172,6 +172,7 @@ def test_the_active_agents_rounds_are_those_of_an_ordinary_run(example, tmp_path
     ]
 
 
+@pytest.mark.slow
 def test_an_agent_in_tandem_with_itself_learns_what_the_active_one_does(example, tmp_path):
     active, passive = example["make_trainers"]("dqn", "dqn", TINY, tmp_path)
     begun = copy.deepcopy(active.learner.loss.state_dict())

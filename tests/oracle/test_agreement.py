@@ -116,7 +116,7 @@ def test_the_simulator_agrees_with_the_oracle_where_several_slots_open_a_dialogu
 
 
 def test_the_simulator_agrees_with_the_oracle_on_users_that_differ(movie):
-    played = play(movie, 120, seed=800, settings=USERS)
+    played = play(movie, 90, seed=800, settings=USERS)
     assert_at_work(PERSON_RULES, played)
 
 

@@ -109,7 +109,11 @@ def test_the_public_domains_are_spiked_by_their_rule(domain, request):
 
 
 @pytest.mark.parametrize(
-    ("policy", "env"), [("careful_essential", "full"), ("repair", "domain_ext")]
+    ("policy", "env"),
+    [
+        pytest.param("careful_essential", "full", marks=pytest.mark.slow),
+        ("repair", "domain_ext"),
+    ],
 )
 def test_a_policy_that_repairs_fills_the_buffers_with_successes(policy, env, tmp_path):
     longer = ("domain=movie", "env.max_turn=40", "protocol.capacity=800", "spike.dialogues=30")

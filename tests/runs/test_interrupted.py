@@ -10,7 +10,7 @@ import sys
 import pytest
 import torch
 from forked import environment
-from tiny import composed, rows, without_drawing
+from tiny import composed, nightly, rows, without_drawing
 
 from bbq_torchrl.runs.folders import is_finished, load_config
 from bbq_torchrl.runs.train import run
@@ -57,7 +57,7 @@ def test_an_interrupted_extension_goes_on(copy, kept, uninterrupted):
     assert rows(folder / "metrics.csv") == uninterrupted[1]
 
 
-@pytest.mark.parametrize("done", [1, pytest.param(2, marks=pytest.mark.slow), 6])
+@pytest.mark.parametrize("done", nightly([1, 2, 6], [1]))
 def test_a_run_whose_folder_is_moved_ends_at_once_and_goes_on_in_its_new_place(
     uninterrupted, tmp_path, done
 ):
