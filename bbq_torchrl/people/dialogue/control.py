@@ -19,7 +19,7 @@ from bbq_torchrl.people.dialogue import RULES
 from bbq_torchrl.people.dialogue.records import Records
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable
+    from collections.abc import Callable, Iterable, Sequence
 
     from tensordict import TensorDictBase
 
@@ -148,10 +148,13 @@ class Control:
         """Returns the actions that may follow an answer in the same reply, bool ``[*B, A]``."""
         return legal & (self._is_request | self._is_booking)
 
-    def is_stuck(self, state: TensorDictBase) -> bool:
-        """Returns whether no record has all values held; the state is that of one dialogue."""
-        differs, lacks, _ = self.records.best(state["held"])
-        return bool((differs | lacks).any())
+    def is_stuck(
+        self, state: TensorDictBase, refused: Iterable[Sequence[tuple[int, int]]] = ()
+    ) -> bool:
+        """Returns whether no record that is not refused has all values held in one dialogue."""
+        differs, lacks = self.records.compare(state["held"])
+        misses = (differs | lacks).any(-1) | self.records.with_any(refused)
+        return bool(misses.all())
 
     def _open(self, state: TensorDictBase) -> torch.Tensor:
         """Returns the questions of the user that the agent can answer, bool ``[*B, S]``."""

@@ -24,8 +24,8 @@ class Memory:
         state: the state of the tracker; ``None`` before the first act understood.
         asking: the clarification questions since the agent last acted.
         proposal: the values of a record that the agent proposes, by slot.
-        times: the number of times in a row that it has made this proposal.
-        refused: the values proposed and refused since the person last told something.
+        times: the number of proposals since the person last told something new.
+        refused: what the person refused: values of one record each, or a single one by name.
         denied: the number of offers that the person has refused.
         texts: the number of texts so far.
     """

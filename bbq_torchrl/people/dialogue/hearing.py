@@ -35,6 +35,10 @@ class Hearing:
         is_empty = not frame.informs and {*frame.requests} <= {self._domain.ticket_slot}
         return is_empty and (not acts or frame.act in acts)
 
+    def is_unsure(self, reading: Understood) -> bool:
+        """Returns whether a text was understood too poorly to act on."""
+        return self._nlu.asks(reading)
+
     def __call__(self, text: str, question: Frame | None) -> Understood:
         """Returns the meaning of a text, with its values in the one spelling."""
         reading = self._nlu(text, question)
@@ -67,6 +71,29 @@ class Hearing:
             if reading.frame.act == "closing" and not is_farewell(text):
                 return replace(reading, frame=Frame("not_sure"), confidence=0.0)
         return reading
+
+    def refused(
+        self, reading: Understood, held: Mapping[str, str]
+    ) -> tuple[Understood, list[dict[str, str]]]:
+        """Returns a reading without what it denies by name, and that, a value by slot each.
+
+        Args:
+            reading: the meaning of the text.
+            held: the values told before; those that are denied do not hold.
+        """
+        denied, link = [], self._spelling.lexicon.link
+        for one in reading.unclear:
+            if one.is_denied and (values := link(one.slot, one.text).values):
+                denied.append(self._spelling.of({one.slot: values[0]}))
+        if not denied:
+            return reading, []
+        frame = reading.frame
+        free = {slot: ANY for one in denied for slot in one if one.items() <= held.items()}
+        informs = {**free, **frame.informs}
+        act = "inform" if free else frame.act if informs or frame.requests else "deny"
+        frame = replace(frame, act=act, informs=informs)
+        unclear = tuple(one for one in reading.unclear if not one.is_denied)
+        return replace(reading, frame=frame, unclear=unclear), denied
 
     def dropped(
         self, reading: Understood, text: str, question: Frame | None, held: Mapping[str, str]

@@ -28,7 +28,9 @@ _ACCEPT = [_pattern(rf"(?<!\S)(?:{text})(?!\S)") for text in _DATA["accept"]]
 _BESIDE = frozenset(_DATA["beside"].split())
 _YES = _pattern(r"(?:<yes>)(?![\w']) ?(?:(?:and|but|so|then) )*")
 _NO = _pattern(_DATA["no"])
-_QUESTION, _HESITATES = _pattern(_DATA["question"]), _pattern(_DATA["hesitates"])
+_QUESTION, _WHETHER, _HESITATES = (
+    _pattern(_DATA[name]) for name in ("question", "whether", "hesitates")
+)
 _BEFORE = [_pattern(rf"\b(?:{text})\b(?P<x>.*)") for text in _DATA["before"]]
 _AFTER = [_pattern(rf"(?P<x>.*?)(?: |(?='s))(?:{text})(?!\w)") for text in _DATA["after"]]
 _ANY, _AROUND, _EXCEPT = (_pattern(_DATA[name]) for name in ("any", "around", "except"))
@@ -37,6 +39,7 @@ _RESTART, _OTHERS = _pattern(_DATA["restart"]), _pattern(_DATA["others"])
 _LATER, _EARLIER = _pattern(_DATA["later"]), _pattern(_DATA["earlier"])
 _ABOUT = {name: _pattern(_DATA[name]) for name in ("help", "bot", "nothing")}
 _CLAUSE = re.compile(r" ?[,.;!?:()] ?| (?:but|and then) ")
+_SENTENCE = re.compile(r"[^.;!?]+[.;!?]*")
 _PIECE = re.compile(r"[^,.;!?]+[,.;!?]*")
 _AND = re.compile(rf"(?:{_CLAUSE.pattern})(?:and |also |plus )*| (?:and|also|plus|&) ")
 _WHERE = re.compile(r" (?:in|at|on|near) ")
@@ -99,6 +102,30 @@ def refuses(text: str) -> bool:
 def asks(text: str) -> bool:
     """Returns whether a text asks something."""
     return _QUESTION.search(_words(text)) is not None
+
+
+def asks_whether(text: str) -> bool:
+    """Returns whether a sentence asks if the booking that is spoken of has something.
+
+    Examples:
+        >>> [asks_whether(text) for text in ("Is it on Friday?", "At 7, right?", "What about 7?")]
+        [True, True, False]
+    """
+    return _WHETHER.search(_words(text)) is not None
+
+
+def sentences(text: str) -> list[str]:
+    """Returns the sentences of a text; a yes before a comma is one by itself.
+
+    Examples:
+        >>> sentences("Sounds good, is it in 3D? We are four.")
+        ['sounds good', 'is it in 3d ?', 'we are four .']
+    """
+    found: list[str] = []
+    for sentence in _SENTENCE.findall(_words(text)):
+        yes, _, rest = sentence.strip().partition(" , ")
+        found += [yes, rest] if rest and accepts(yes) else [sentence.strip()]
+    return found
 
 
 def hesitates(text: str) -> bool:

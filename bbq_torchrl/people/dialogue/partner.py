@@ -14,6 +14,7 @@ from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.control import Control
 from bbq_torchrl.people.dialogue.exchange import Answer, Memory
 from bbq_torchrl.people.dialogue.hearing import Hearing
+from bbq_torchrl.people.dialogue.questions import Questions, Told
 from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.dialogue.tracking import Acting, Tracking, full
 from bbq_torchrl.people.dialogue.ways_out import WaysOut
@@ -86,6 +87,7 @@ class Partner:
         self._tracking = Tracking(simulator, agent.active)
         self.control = Control(simulator, rules)
         self._hear = Hearing(nlu, self._spelling, self.control.rules)
+        self._questions = Questions(self._spelling, self._hear, nlg)
         self._acting = Acting(agent, self._tracking, self.control)
         wanted = Counter(slot for goal in self.domain.goals for slot in goal.constraints)
         self._goal_slots = [slot for slot, _ in wanted.most_common(_MAX_NAMED)]
@@ -112,13 +114,53 @@ class Partner:
                 return self._say(Memory(texts=now.texts), f"{sentence} {greeting}")
             if "help" in rules and (topic := moves.about(text)):
                 return self._say(now, self._nlg.say(topic, self._goal_slots, **words))
-            reading = self._hear(text, question)
+            told = self._told(before, text, words)
+            reading = self._hear(told.rest or text, question)
         except TextError as error:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
+        is_offered = before.state is not None and bool(before.state["offered"])
+        if not told.text:
+            return self._reply(now, before, reading, text, question, words, seed)
+        is_only = not told.rest or (moves.accepts(told.rest) and (is_offered or not told.is_yes))
+        if is_only:
+            answer = self._say(now, self._nlg.say("stands", **words), reading)
+        else:
+            answer = self._reply(now, before, reading, told.rest, question, words, seed)
+        informs = {**told.values, **answer.answered.informs}
+        return replace(
+            answer,
+            text=f"{told.text} {answer.text}",
+            answered=replace(answer.answered, act="inform", informs=informs),
+        )
+
+    def _told(self, before: Memory, text: str, words: dict[str, Any]) -> Told:
+        """Returns the answers to questions about the record that is proposed or offered."""
+        record = self._ways_out.spoken_of(before)
+        if record is None or before.asking.is_check or "answers_first" not in self.control.rules:
+            return Told("", {}, text, True)
+        return self._questions(record, text, words)
+
+    def _reply(
+        self,
+        now: Memory,
+        before: Memory,
+        reading: Understood,
+        text: str,
+        question: Frame | None,
+        words: dict[str, Any],
+        seed: int,
+    ) -> Answer:
+        """Returns the answer to a text with a meaning."""
+        rules = self.control.rules
         is_offered = before.state is not None and bool(before.state["offered"])
         reading = self._hear.leaving(reading, text, is_offered)
         is_wish = bool(_values(reading.frame)) and not moves.asks(text)
         others = "way_out" in rules and moves.asks_for_others(text) and not is_wish
+        held = {} if before.state is None else self._tracking.kept(before.state)
+        is_said = bool(before.proposal) or is_offered or others or bool(_values(reading.frame))
+        if "drop" in rules and is_said:
+            reading, refused = self._hear.refused(reading, held)
+            now = replace(now, refused=(*now.refused, *refused))
         is_no_more = is_no(text) or self._hear.is_bare(reading.frame, "deny")
         is_booked = False
         if before.asking.is_check:
@@ -130,19 +172,17 @@ class Partner:
         elif before.proposal:
             if taken := self._taken(before, reading, text):
                 reading, others = taken, False
-                now = replace(now, proposal={}, refused=())
-            elif is_no_more:
+                now = replace(now, proposal={})
+            elif is_no_more and not others:
                 return self._ways_out.alternative(now, reading, words)
         elif is_offered and "yes_ends" in rules and not others:
             reading, is_booked = self._to_offer(before, reading, text)
             if reading.frame.act == "not_sure" and not reading.unclear:
-                use = "not_on_file" if moves.asks(text) else "stands"
-                return self._say(now, self._nlg.say(use, **words), reading)
+                return self._say(now, self._nlg.say("stands", **words), reading)
         elif "book" in rules and moves.accepts(text) and self._hear.is_bare(reading.frame):
             reading = replace(reading, confidence=1.0)
         dropped: tuple[str, ...] = ()
         if "drop" in rules:
-            held = {} if before.state is None else self._tracking.kept(before.state)
             held |= before.asking.waiting.informs if before.asking.waiting else {}
             reading, dropped = self._hear.dropped(reading, text, question, held)
         if others and not dropped:
@@ -176,10 +216,21 @@ class Partner:
         if dropped:
             said = self._nlg.say("dropped", dropped, **words)
             answer = replace(answer, text=f"{said} {answer.text}")
-        if is_unsure and (news := self._unsaid(before, understood, answer)):
-            said = self._nlg.say("understood", values=news, **words)
-            answer = replace(answer, text=f"{said} {answer.text}")
+        details = self._details(answer.memory)
+        details = {s: v for s, v in details.items() if self._details(before).get(s) != v}
+        news = self._unsaid(before, understood, answer) if is_unsure else {}
+        news = {slot: value for slot, value in news.items() if slot not in details}
+        for use, values in (("no_promise", details), ("understood", news)):
+            if values:
+                said = self._nlg.say(use, values=values, **words)
+                answer = replace(answer, text=f"{said} {answer.text}")
         return answer
+
+    def _details(self, memory: Memory) -> dict[str, str]:
+        """Returns the wishes for details that no fitting record has."""
+        aside = {} if memory.state is None else self._tracking.aside(memory.state)
+        minor = self.control.records.minor
+        return {slot: v for slot, v in aside.items() if minor[self.domain.slots.index(slot)]}
 
     def _question(self, before: Memory) -> Frame | None:
         """Returns the agent's act that the next text answers."""
@@ -269,7 +320,8 @@ class Partner:
         if beside is not None and not asks and not moves.hesitates(rest or text):
             told = _values(beside.frame)
             is_repeated = told.items() <= offer.items()
-            if is_repeated and (told or beside.confidence == 1.0):
+            says_yes = beside.frame.act in ("confirm_answer", "thanks")  # "sonds good, yes"
+            if is_repeated and (told or says_yes or beside.confidence == 1.0):
                 return Understood(Frame("thanks"), 1.0, source=reading.source), False
             fits = all(offer.get(slot, value) == value for slot, value in told.items())
             asked = {*beside.frame.requests} - {self.domain.ticket_slot}
@@ -283,26 +335,13 @@ class Partner:
         is_bare = self._hear.is_bare
         is_vague = is_bare(frame) and frame.act not in ("deny", "closing")
         is_vague = is_vague or (is_bare(frame, "deny") and (asks or moves.hesitates(text)))
-        is_vague = is_vague or (asks and self._nlu.asks(reading) and not frame.informs)
-        if asks and frame.informs and not frame.requests:  # "Do they have wheelchair access?"
-            heard = self._acting.hear(before.state, frame)
-            aside = self._tracking.values(heard["aside"]) if "aside" in heard else {}
-            is_vague = not aside.keys().isdisjoint(frame.informs) or self.control.is_stuck(heard)
-            is_vague = is_vague and not moves.asks_for_others(text)
         if not is_vague:
             return reading, False
-        records, slots = self.control.records, self.domain.slots
-        listed = [slot for number, slot in enumerate(slots) if records.is_listed(number)]
-        if named := self._spelling.named(text, listed) if asks else ():
-            requests = tuple(slot for slot in frame.requests if slot in named) or named[:1]
-            question = Frame("request", {}, requests)
-            return Understood(question, 1.0, source=reading.source), False
         lexicon, name = self._spelling.lexicon, text.strip(" .!")
         if slot := lexicon.only_slot(name) or lexicon.owners.get(compact(name)):
             value = self._spelling.of({slot: lexicon.link(slot, name).values[0]})
             return Understood(Frame("inform", value), 1.0, source=reading.source), False
-        unclear = () if asks else reading.unclear
-        return replace(reading, frame=Frame("not_sure"), unclear=unclear), False
+        return replace(reading, frame=Frame("not_sure")), False
 
     def _act(
         self,
@@ -319,21 +358,26 @@ class Partner:
         is_offered = before is not None and bool(before["offered"])
         is_denied = is_offered and self._hear.is_bare(understood, "deny")
         told = {**understood.informs}
-        if told and now.refused and not told.items() <= now.refused[-1].items():
-            now = replace(now, refused=())
+        held = {} if before is None else self._tracking.kept(before)
+        if not told.items() <= held.items():
+            now = replace(now, times=0)
+        named = tuple(one for one in now.refused if told.items().isdisjoint(one.items()))
+        now = replace(now, refused=named)
         if is_denied:
-            now = replace(now, denied=now.denied + 1)
+            offer = self._ways_out.spoken_of(now) or {}
+            place = {slot: offer[slot] for slot in self.domain.essential if slot in offer}
+            now = replace(now, denied=now.denied + 1, refused=(*now.refused, place))
             if now.denied >= _MAX_DENIED:
                 sentence, answered = self._nlg.say("no_more", **words), Frame("closing")
                 return Answer(sentence, reading, understood, answered, now, ended="agent")
         if "way_out" in rules:
             understood, state = self._heard(before, understood)
-            if self.control.is_stuck(state):
+            if not is_denied and self.control.is_stuck(state, self._ways_out.refused(now)):
                 asked = [slot for slot in understood.requests if slot != self.domain.ticket_slot]
                 now = replace(now, state=state)
                 return self._ways_out.alternative(now, reading, words, asked, is_refused=False)
         reply = self._acting.book if is_booked else self._acting.reply
-        acted = reply(before, understood, seed)
+        acted = reply(before, understood, seed, self._ways_out.refused(now))
         answered, now = acted.answered, replace(now, state=acted.state, proposal={}, times=0)
         if is_denied and bool(acted.state["offered"]):
             names = list(_values(self._tracking.kept(acted.state)))[:_MAX_NAMED]
@@ -341,7 +385,7 @@ class Partner:
         ended = "agent" if answered.act in ("thanks", "closing") else ""
         sentences = [self._nlg.agent(act, kept, **words) for act, kept in acted.parts]
         if ended and (is_booked or (is_offered and acted.understood.act == "thanks")):
-            booked = self._ways_out.record(acted.state)
+            booked = self._tracking.values(acted.state["held"])
             sentences[:-1] = [self._nlg.say("booked", values=booked, **words)]
         for slot in acted.aside:
             if not self.control.records.minor[self.domain.slots.index(slot)]:

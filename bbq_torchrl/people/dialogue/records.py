@@ -172,15 +172,20 @@ class Records:
         if is_here:
             stays = self._is_lasting & (torch.arange(len(held)) != slot)
             is_out |= ((far | nowhere) & stays).any(-1)
-        for change in refused:
-            slots, values = (list(part) for part in zip(*change, strict=True))
-            is_out |= (self._values[:, slots] == torch.tensor(values)).all(-1)
-        cost = cost.masked_fill(is_out, torch.inf)
+        cost = cost.masked_fill(is_out | self.with_any(refused), torch.inf)
         place = int(cost.argmin())
         if not torch.isfinite(cost[place]):
             return {}
         changed = differs[place].nonzero().flatten().tolist()
         return {number: int(self._values[place, number]) for number in changed}
+
+    def with_any(self, some: Iterable[Sequence[tuple[int, int]]]) -> Tensor:
+        """Returns which records have all values of one of some lists of slot and value id."""
+        found = torch.zeros(len(self._values), dtype=torch.bool)
+        for values in some:
+            slots, ids = (list(part) for part in zip(*values, strict=True))
+            found |= (self._values[:, slots] == torch.tensor(ids)).all(-1)
+        return found
 
     def lasting(self, held: Tensor) -> Tensor:
         """Returns the values of the opening slot and the place that hold, long ``[S]``."""
@@ -219,22 +224,32 @@ class Records:
         found = self._values[complete if complete.any() else fits, slot]
         values, counts = found[found != held[slot]].unique(return_counts=True)
         ranked = values[counts.argsort(descending=True, stable=True)].tolist()
-        if slot in self._minutes and direction:
+        if slot in self._minutes:  # "after work" is none beside times
             minutes = self._minutes[slot]
+            ranked = [v for v in ranked if not minutes[v].isnan()] or ranked
+        if slot in self._minutes and direction:
             away = (minutes - minutes[held[slot]]) * direction
             ranked = sorted((v for v in ranked if away[v] > 0), key=lambda v: float(away[v]))
         return ranked
 
-    def row(self, held: Tensor, change: Mapping[int, int]) -> Tensor:
+    def row(
+        self,
+        held: Tensor,
+        change: Mapping[int, int],
+        refused: Iterable[Sequence[tuple[int, int]]] = (),
+    ) -> Tensor:
         """Returns the values of the nearest record after a change, long ``[S]``.
 
         Args:
             held: long ``[S]``, value ids.
             change: slot to value id.
+            refused: what the person refused; such a record is the last.
         """
         changed = held.clone()
         changed[[*change]] = torch.tensor([*change.values()], dtype=torch.long)
-        return self._values[int(self._distances(*self.compare(changed)).argmin())].clone()
+        distances = self._distances(*self.compare(changed))
+        distances += self.with_any(refused) * (distances.max() + 1)
+        return self._values[int(distances.argmin())].clone()
 
     def is_listed(self, slot: int) -> bool:
         """Returns whether records have values of a slot that constrains them."""

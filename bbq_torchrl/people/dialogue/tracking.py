@@ -9,12 +9,12 @@ import torch
 from tensordict import TensorDict
 
 from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT, Coding
-from bbq_torchrl.domains.values import AVAILABLE, NONE
+from bbq_torchrl.domains.values import AVAILABLE, FIRST_VALUE, NONE
 from bbq_torchrl.people.language import Frame
 from bbq_torchrl.simulator import Utterance
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Mapping, Sequence
 
     from bbq_torchrl.people.dialogue.control import Control
     from bbq_torchrl.people.dialogue.trained_agent import TrainedAgent
@@ -147,6 +147,10 @@ class Tracking:
         """Returns the values that the tracker holds or has set aside, by slot."""
         return self._coding.values(full(state).tolist())
 
+    def aside(self, state: TensorDict) -> dict[str, str]:
+        """Returns the values that the control has set aside, by slot."""
+        return self.values(state["aside"]) if "aside" in state else {}
+
     def ids(self, values: Mapping[str, str]) -> list[int]:
         """Returns the ids ``[S]`` of values by slot; 0 for the others."""
         return self._coding.ids(values)
@@ -207,6 +211,7 @@ class Acting:
         self._ticket, self._complete = domain.ticket_slot, domain.complete_slot
         booking = domain.action_index(f"inform({domain.complete_slot})")
         self._booking = torch.arange(len(agent.legal)) == booking
+        self._is_place = torch.tensor([slot in domain.essential for slot in domain.slots])
 
     def hear(self, state: TensorDict | None, understood: Frame) -> TensorDict:
         """Returns the state after a person's act; ``state`` is ``None`` before the first.
@@ -222,9 +227,15 @@ class Acting:
         is_known = ((told == NONE) | (told == full(state))).all()
         return self._control.remember(heard.replace(offered=state["offered"] & is_known))
 
-    def book(self, state: TensorDict | None, understood: Frame, seed: int) -> Acted:
+    def book(
+        self,
+        state: TensorDict | None,
+        understood: Frame,
+        seed: int,
+        refused: Sequence[Sequence[tuple[int, int]]] = (),
+    ) -> Acted:
         """Returns the reply to a yes that adds values to an offer: with them, and the end."""
-        offer = self.reply(state, understood, seed, self._booking)
+        offer = self.reply(state, understood, seed, refused, self._booking)
         if not bool(offer.state["offered"]):
             return offer
         end = self.reply(offer.state, Frame("thanks"), seed)
@@ -235,6 +246,7 @@ class Acting:
         state: TensorDict | None,
         understood: Frame,
         seed: int,
+        refused: Sequence[Sequence[tuple[int, int]]] = (),
         legal: torch.Tensor | None = None,
     ) -> Acted:
         """Returns the acts that reply to a person's act.
@@ -243,6 +255,7 @@ class Acting:
             state: the state before the person's act; ``None`` before the first.
             understood: the person's act.
             seed: the seed of the policy's random choices.
+            refused: what the person refused, as pairs of slot and value id.
             legal: bool ``[A]``, the actions allowed; ``None`` for the agent's.
         """
         agent, control = self._agent, self._control
@@ -268,6 +281,8 @@ class Acting:
         if not parts or allowed.any():
             if parts or rules:
                 action = agent.decide(observation, seed, allowed)
+            if self._booking[action]:
+                state = self._placed(state, refused)
             state = self._act(state, action, parts)
         aside = {}
         if self._complete in parts[-1][0].informs and "aside" in state:
@@ -292,7 +307,7 @@ class Acting:
             if NO_MATCH_TEXT in parts[-1][0].informs.values():
                 state = state.replace(held=held)
         if parts:
-            aside = self._tracking.values(state["aside"]) if "aside" in state else {}
+            aside = self._tracking.aside(state)
             told = {slot: v for slot, v in understood.informs.items() if slot not in aside}
             wish = Frame("request", told, (self._ticket,))
             state = self._tracking.hear(state, wish)
@@ -311,3 +326,15 @@ class Acting:
             return after.replace(offered=is_available == AVAILABLE)
         # A yes to a later question takes no offer.
         return after.replace(offered=after["offered"] & ~after["agent_requests"].any())
+
+    def _placed(
+        self, state: TensorDict, refused: Sequence[Sequence[tuple[int, int]]]
+    ) -> TensorDict:
+        """Returns the state in which where and when the offered record is counts as told."""
+        rules, records = self._control.rules, self._control.records
+        if not {"way_out", "take_back"} <= {*rules} or records.best(full(state))[0].any():
+            return state
+        row = records.row(full(state), {}, refused)
+        is_told = self._is_place & (row != NONE) & (full(state) < FIRST_VALUE)
+        held, wished = torch.where(is_told, row, state["held"]), state["wished"]
+        return state.replace(held=held, wished=torch.where(is_told, 0, wished))

@@ -17,7 +17,6 @@ from bbq_torchrl.people.language.asking import Asking
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from tensordict import TensorDict
     from torch import Tensor
 
     from bbq_torchrl.people.dialogue.exchange import Memory
@@ -86,6 +85,9 @@ class WaysOut:
         numbers = [self._slots.index(slot) for slot in slots]
         number = next((one for one in numbers if self._records.is_listed(one)), None)
         held = full(now.state)
+        if way and now.proposal:  # later than what is proposed
+            proposed = torch.tensor(self._tracking.ids(now.proposal))
+            held = torch.where(proposed != NONE, proposed, held)
         if number is None:
             is_stuck = bool(self._records.best(held)[2])
             if not (now.proposal or is_stuck or bool(now.state["offered"])):
@@ -140,8 +142,6 @@ class WaysOut:
             now = replace(now, refused=(*now.refused, now.proposal), proposal={})
         asked = [self._slots.index(slot) for slot in requests]
         change = self._records.nearest(full(now.state), self.refused(now), asked=asked)
-        if is_refused and len(now.refused) >= _MAX_PROPOSALS:
-            change = {}
         return self.propose(now, reading, change, words, asked)
 
     def refused(self, now: Memory) -> list[list[tuple[int, int]]]:
@@ -151,12 +151,14 @@ class WaysOut:
             for one in now.refused
         ]
 
-    def record(self, state: TensorDict) -> dict[str, str]:
-        """Returns the values held in a state, and where and when the nearest record is."""
-        told = full(state)
-        row = self._records.row(told, {})
-        where = torch.where(row != NONE, row, told)
-        return self._tracking.values(torch.where(self._place, where, state["held"]))
+    def spoken_of(self, before: Memory) -> dict[str, str] | None:
+        """Returns the record that is proposed or offered, if any."""
+        state = before.state
+        if state is None or not (before.proposal or bool(state["offered"])):
+            return None
+        ids = self._tracking.ids(before.proposal)
+        change = {slot: value for slot, value in enumerate(ids) if value}
+        return self._tracking.values(self._records.row(full(state), change, self.refused(before)))
 
     def propose(
         self,
@@ -180,11 +182,11 @@ class WaysOut:
         assert now.state is not None
         held, records = full(now.state), self._records
         now = replace(now, asking=Asking())
-        row = records.row(held, change)
+        row = records.row(held, change, self.refused(now))
         ids = torch.where(self._place & (row != held), row, 0)
         ids[[*change, *asked]] = row[[*change, *asked]]
         proposal = self._tracking.values(ids)
-        times = now.times + 1 if proposal == now.proposal else 1
+        times = now.times + 1
         if not change or times > _MAX_PROPOSALS:
             told = records.freeing(held) or (held >= FIRST_VALUE).nonzero().flatten().tolist()
             names = [self._slots[slot] for slot in told][:_MAX_NAMED] or self._open_slots
@@ -194,7 +196,7 @@ class WaysOut:
         conflict = {slot: int(held[slot]) for slot in records.conflict(held)}
         is_near = not conflict or records.is_same_day(held, change)
         use, named = "another" if is_near else "way_out", proposal
-        if times > 1:
+        if proposal == now.proposal:
             use, named = "whole", self._tracking.values(torch.where(self._place, row, ids))
         sentence = self._nlg.say(use, values=self._values(conflict), other=named, **words)
         now = replace(now, proposal=proposal, times=times)

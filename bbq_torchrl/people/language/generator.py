@@ -253,9 +253,11 @@ class Generator:
     def _wishes(self, wishes: Mapping[str, str], rng: random.Random) -> list[Piece]:
         """Returns the wishes in words, in the order of the domain's slots."""
         said: list[Piece] = []
+        named = [text for text in wishes.values() if not text[:1].isdigit()]
         for slot in self._domain.slots:
-            if (value := wishes.get(slot, ANY)) in _NO_WISH:
-                continue
+            value = wishes.get(slot, ANY)
+            if value in _NO_WISH or any(one.startswith(f"{value} ") for one in named):
+                continue  # or said with another, as a chain with its theater
             if said:
                 said.append(Piece(", "))
             phrases = self._phrases.slots[slot].phrases["wish"]

@@ -15,7 +15,7 @@ from bbq_torchrl.people.chat import Partner
 from bbq_torchrl.people.dialogue.control import Control
 from bbq_torchrl.people.dialogue.judge import Judge
 from bbq_torchrl.people.dialogue.records import Records
-from bbq_torchrl.people.language import Frame, Understood
+from bbq_torchrl.people.language import Frame, Unclear, Understood
 
 SHOWN = ("moviename", "city", "date")
 SHOWING = "inform(moviename=wonka, city=reno)"
@@ -46,6 +46,9 @@ class Words(Acts):
             "just the three of us": Understood(Frame("inform", {"numberofpeople": "3"}), 0.9),
             "just the three of us, please": Understood(
                 Frame("inform", {"numberofpeople": "3"}), 0.9
+            ),
+            "not newark": Understood(
+                Frame("inform"), 0.9, (Unclear("city", "newark", is_denied=True),)
             ),
             "the cheap seats": Understood(Frame("inform"), 0.1),
         }
@@ -105,9 +108,10 @@ def test_an_offer_stands_until_it_is_accepted(talk, text):
 
 
 def test_only_a_yes_to_an_offer_ends_the_dialogue(talk):
-    more = ("inform(numberofpeople=3)", "thanks", "request(date)")
+    more = ("inform(numberofpeople=3)", "thanks", "inform(taskcomplete)")
     *_, last = talk(OFFER, more)
-    assert (str(last.answered), last.ended, last.control) == ("request(date)", "", ("yes_ends",))
+    assert last.answered.informs["numberofpeople"] == "3"
+    assert (last.ended, last.control) == ("", ("yes_ends",))
 
 
 @pytest.mark.parametrize("before", [(OFFER[0], "request(date)"), OFFER])
@@ -208,11 +212,22 @@ def test_what_was_heard_with_some_doubt_is_said_back_and_acted_on(talk):
     assert "right?" not in said
 
 
-def test_a_wish_for_a_detail_is_dropped_silently(talk):
+def test_a_wish_for_a_detail_excludes_nothing_and_is_owned_up_to_once(talk):
     detail = ("inform(moviename=wonka, city=tampa, genre=horror)", "inform(taskcomplete)")
-    (answer,) = talk(detail)
+    answer, later = talk(detail, ("inform(numberofpeople=2)", "inform(taskcomplete)"))
     assert answer.answered.informs["taskcomplete"] == "ticket available"
-    assert "horror" not in answer.text
+    assert answer.text.count("horror") == 1
+    assert "horror" not in later.text
+
+
+def test_what_is_refused_by_name_comes_back_only_when_it_is_named(talk):
+    again = ("inform(numberofpeople=2)", "inform(taskcomplete)")
+    named = ("inform(city=newark)", "inform(taskcomplete)")
+    _, other, later, back = talk(OFFER, ("not newark", "inform(taskcomplete)"), again, named)
+    for answer in (other, later):
+        assert "newark" not in [*answer.answered.informs.values(), *answer.memory.proposal.values()]
+    assert {"city": "newark"} in later.memory.refused
+    assert "newark" in back.answered.informs.values()
 
 
 def test_another_part_of_the_day_is_proposed_before_another_city(talk):

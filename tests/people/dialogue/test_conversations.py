@@ -68,6 +68,30 @@ def test_a_proposal_is_taken_by_a_yes_with_more_or_by_its_name(partner):
         assert not proposal.items() <= answer.understood.informs.items(), text
 
 
+def test_whether_a_record_has_a_value_is_answered_and_changes_nothing(partner, offer):
+    before = opened(partner, "two tickets for barbie on christmas eve at 5 pm")
+    for case in TEXTS["whether"]:
+        answer = said(partner, before, case["text"].format(**before.memory.proposal))
+        assert case["says"] in answer.text, case
+        assert answer.memory.proposal == before.memory.proposal, case
+    for text in TEXTS["not_whether"]:
+        answer = said(partner, before, text)
+        assert "Chicago" in answer.text, text
+        assert not answer.text.startswith(("Yes", "No.", "No, ")), text
+    value = offer.answered.informs["starttime"]
+    answer = said(partner, offer, f"Great! Is it at {value}?")
+    assert answer.text.startswith("Yes")
+    assert not answer.ended
+    assert answer.memory.state["offered"]
+
+
+def test_an_offer_says_where_and_when_it_is(partner, offer):
+    place = {slot: offer.answered.informs[slot] for slot in ("date", "starttime", "theater")}
+    assert all(value.lower() in offer.text.lower() for value in place.values())
+    booked = said(partner, offer, "yes please")
+    assert all(value.lower() in booked.text.lower() for value in place.values())
+
+
 def test_the_same_is_not_proposed_three_times(partner):
     text = "two tickets for barbie on christmas eve at 5 pm"
     before = opened(partner, text)

@@ -1,0 +1,122 @@
+"""Answers to questions about the record that the agent proposes or offers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+from bbq_torchrl.domains.values import RESERVED_TEXT
+from bbq_torchrl.people.dialogue import moves
+from bbq_torchrl.people.language import Frame
+from bbq_torchrl.people.language.words import tokenize
+
+if TYPE_CHECKING:
+    from collections.abc import Iterable, Mapping
+
+    from bbq_torchrl.people.dialogue.hearing import Hearing
+    from bbq_torchrl.people.dialogue.spelling import Spelling
+    from bbq_torchrl.people.language import EndpointGenerator, Generator
+
+
+@dataclass(frozen=True)
+class Told:
+    """The answers to the questions of a text.
+
+    Attributes:
+        text: the answers; empty without a question about the record.
+        values: the values of the record that they tell, by slot.
+        rest: what else the text says.
+        is_yes: whether no question is answered by a no.
+    """
+
+    text: str
+    values: Mapping[str, str]
+    rest: str
+    is_yes: bool
+
+
+class Questions:
+    """Answers, sentence by sentence, whether a record has a value and what its values are.
+
+    Args:
+        spelling: the spelling of values.
+        hear: the reading of texts.
+        nlg: the nlg.
+    """
+
+    def __init__(
+        self, spelling: Spelling, hear: Hearing, nlg: Generator | EndpointGenerator
+    ) -> None:
+        self._spelling, self._hear, self._nlg = spelling, hear, nlg
+        domain = spelling.domain
+        self._free = {*domain.free_slots, *domain.special_slots}
+
+    def __call__(self, record: Mapping[str, str], text: str, words: dict[str, Any]) -> Told:
+        """Returns the answers to the questions of a text about a record.
+
+        Args:
+            record: the record's values by slot.
+            text: the person's text.
+            words: what determines the words.
+        """
+        said: list[str] = []
+        rest: list[str] = []
+        told: dict[str, str] = {}
+        is_yes = True
+        for sentence in moves.sentences(text):
+            found = self._answer(record, sentence, words)
+            if found is None:
+                rest.append(sentence)
+                continue
+            said.append(found[0])
+            told |= found[1]
+            is_yes &= found[2]
+        if not said:
+            return Told("", {}, text, True)
+        return Told(" ".join(said), told, " ".join(rest), is_yes)
+
+    def _answer(
+        self, record: Mapping[str, str], sentence: str, words: dict[str, Any]
+    ) -> tuple[str, dict[str, str], bool] | None:
+        """Returns an answer, its values, and whether it is no "no"; ``None`` if there is none."""
+        is_whether = moves.asks_whether(sentence)
+        is_about = is_whether or moves.asks(sentence)
+        if not is_about or moves.asks_for_others(sentence) or moves.accepts(sentence):
+            return None
+        reading = self._hear(sentence, None)
+        meant = {slot: [value] for slot, value in reading.frame.informs.items()}
+        meant |= {one.slot: [*one.candidates] or [one.text] for one in reading.unclear}
+        meant = {slot: v for slot, v in meant.items() if slot not in self._free}
+        meant = {slot: v for slot, v in meant.items() if v[0] not in RESERVED_TEXT.values()}
+        if is_whether and not meant:
+            said = tokenize(sentence)
+            for slot, start, end in self._spelling.lexicon.full_names(said):
+                meant[slot] = [" ".join(said[start:end])]
+        has = {slot: self._having(record, values) for slot, values in meant.items()}
+        if is_whether and meant:
+            told = {
+                own or slot: record[own or slot]
+                for slot, own in has.items()
+                if own or slot in record
+            }
+            if not told:
+                return self._nlg.say("unknown_question", **words), {}, False
+            is_yes = all(has.values())
+            values = self._nlg.agent(Frame("inform", told), **words)
+            return f"{self._nlg.say('yes' if is_yes else 'no', **words)} {values}", told, is_yes
+        asked = {*reading.frame.requests} - self._free
+        if not asked or self._hear.is_unsure(reading):
+            named = self._spelling.named(sentence, record)
+            asked = asked & {*named} or {*named[:1]}
+        if asked and not meant and asked <= record.keys():
+            told = {slot: value for slot, value in record.items() if slot in asked}
+            return self._nlg.agent(Frame("inform", told), **words), told, True
+        if not asked and not meant and not reading.frame.informs:
+            return self._nlg.say("unknown_question", **words), {}, True
+        return None
+
+    def _having(self, record: Mapping[str, str], values: Iterable[str]) -> str | None:
+        """Returns the slot of a record that has one of some values."""
+        key = self._spelling.lexicon.key
+        pairs = ((slot, key(slot, value)) for slot, value in record.items())
+        return next((slot for slot, own in pairs if own in [key(slot, v) for v in values]), None)
