@@ -146,10 +146,11 @@ class WaysOut:
 
     def refused(self, now: Memory) -> list[list[tuple[int, int]]]:
         """Returns the refused proposals as pairs of slot and value id."""
-        return [
+        refused = (
             [(slot, value) for slot, value in enumerate(self._tracking.ids(one)) if value]
             for one in now.refused
-        ]
+        )
+        return [pairs for pairs in refused if pairs]
 
     def spoken_of(self, before: Memory) -> dict[str, str] | None:
         """Returns the record that is proposed or offered, if any."""
