@@ -120,5 +120,5 @@ def _strangers() -> str:
         own = [row for row in rows if row["commit"] == commit]
         for name, (key, of) in quantities.items():
             total = len(own) if of is None else sum(int(row[of]) for row in own)
-            cells[name, f"at {commit}"] = f"{sum(int(row[key]) for row in own)} of {total}"
+            cells[name, f"at {commit}"] = f"{sum(int(row[key]) for row in own)}/{total}"
     return pivot("", cells)
