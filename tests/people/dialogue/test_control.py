@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 from functools import cache
 
 import pytest
@@ -228,6 +229,15 @@ def test_what_is_refused_by_name_comes_back_only_when_it_is_named(talk):
         assert "newark" not in [*answer.answered.informs.values(), *answer.memory.proposal.values()]
     assert {"city": "newark"} in later.memory.refused
     assert "newark" in back.answered.informs.values()
+
+
+@pytest.mark.parametrize("refused", [{}, {"city": "atlantis"}])
+def test_to_refuse_what_no_record_has_refuses_nothing(partner_with, talk, refused):
+    (offer,) = talk(OFFER)
+    memory = replace(offer.memory, refused=(refused,))
+    assert partner_with(None).reply(memory, "yes", 1).ended == "agent"
+    again = partner_with(None).reply(memory, "inform(numberofpeople=2)", 1)
+    assert "newark" in again.answered.informs.values()
 
 
 def test_another_part_of_the_day_is_proposed_before_another_city(talk):
