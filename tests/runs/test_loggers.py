@@ -198,7 +198,7 @@ def test_a_run_ends_without_what_its_logger_wrote(name, file, tmp_path, monkeypa
     def remove(trainer, rows):
         if trainer.rounds_done == 1:
             place = tmp_path / "run" / file
-            # at once, for TensorBoard writes by a thread of its own
+            # in one step, because a thread of TensorBoard's still writes
             place.rename(tmp_path / "gone") if place.is_dir() else place.unlink()
 
     run(config, tmp_path / "run", [remove])

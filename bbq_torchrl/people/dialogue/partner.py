@@ -216,8 +216,8 @@ class Partner:
         if dropped:
             said = self._nlg.say("dropped", dropped, **words)
             answer = replace(answer, text=f"{said} {answer.text}")
-        details = self._details(answer.memory)
-        details = {s: v for s, v in details.items() if self._details(before).get(s) != v}
+        known = self._details(before)
+        details = {s: v for s, v in self._details(answer.memory).items() if known.get(s) != v}
         news = self._unsaid(before, understood, answer) if is_unsure else {}
         news = {slot: value for slot, value in news.items() if slot not in details}
         for use, values in (("no_promise", details), ("understood", news)):

@@ -26,7 +26,7 @@ class Told:
         text: the answers; empty without a question about the record.
         values: the values of the record that they tell, by slot.
         rest: what else the text says.
-        is_yes: whether no question is answered by a no.
+        is_yes: whether no answer is a "no".
     """
 
     text: str
@@ -78,7 +78,7 @@ class Questions:
     def _answer(
         self, record: Mapping[str, str], sentence: str, words: dict[str, Any]
     ) -> tuple[str, dict[str, str], bool] | None:
-        """Returns an answer, its values, and whether it is no "no"; ``None`` if there is none."""
+        """Returns an answer, its values, and whether it agrees; ``None`` if there is no answer."""
         is_whether = moves.asks_whether(sentence)
         is_about = is_whether or moves.asks(sentence)
         if not is_about or moves.asks_for_others(sentence) or moves.accepts(sentence):

@@ -224,7 +224,7 @@ class Records:
         found = self._values[complete if complete.any() else fits, slot]
         values, counts = found[found != held[slot]].unique(return_counts=True)
         ranked = values[counts.argsort(descending=True, stable=True)].tolist()
-        if slot in self._minutes:  # "after work" is none beside times
+        if slot in self._minutes:  # leave out "after work" if there are times
             minutes = self._minutes[slot]
             ranked = [v for v in ranked if not minutes[v].isnan()] or ranked
         if slot in self._minutes and direction:

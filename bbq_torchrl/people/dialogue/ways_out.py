@@ -146,10 +146,7 @@ class WaysOut:
 
     def refused(self, now: Memory) -> list[list[tuple[int, int]]]:
         """Returns the refused proposals as pairs of slot and value id."""
-        refused = (
-            [(slot, value) for slot, value in enumerate(self._tracking.ids(one)) if value]
-            for one in now.refused
-        )
+        refused = (self._pairs(one) for one in now.refused)
         return [pairs for pairs in refused if pairs]
 
     def spoken_of(self, before: Memory) -> dict[str, str] | None:
@@ -157,8 +154,7 @@ class WaysOut:
         state = before.state
         if state is None or not (before.proposal or bool(state["offered"])):
             return None
-        ids = self._tracking.ids(before.proposal)
-        change = {slot: value for slot, value in enumerate(ids) if value}
+        change = dict(self._pairs(before.proposal))
         return self._tracking.values(self._records.row(full(state), change, self.refused(before)))
 
     def propose(
@@ -202,6 +198,10 @@ class WaysOut:
         sentence = self._nlg.say(use, values=self._values(conflict), other=named, **words)
         now = replace(now, proposal=proposal, times=times)
         return Answer(sentence, reading, reading.frame, Frame("not_sure", proposal), now)
+
+    def _pairs(self, values: Mapping[str, str]) -> list[tuple[int, int]]:
+        """Returns the values that the domain has as pairs of slot and value id."""
+        return [(slot, value) for slot, value in enumerate(self._tracking.ids(values)) if value]
 
     def _values(self, ids: Mapping[int, int]) -> dict[str, str]:
         """Returns the values of ids by slot."""
