@@ -10,6 +10,7 @@ from bbq_torchrl.evaluation.groups import difference
 from bbq_torchrl.utils.statistics import estimate
 from scripts.docs_blocks.common import block, group, groups, read_json, short, table
 from scripts.docs_blocks.learning import unspiked
+from scripts.docs_blocks.results import cells
 from scripts.docs_blocks.tables import measured
 
 if TYPE_CHECKING:
@@ -27,8 +28,9 @@ FILES |= {"Soft BBQN-MAP": "bbqn_map_soft", "GP": "gp"}
 README = ("BBQN-MAP", "DQN-Bootstrap", "DQN-Boltzmann", "DQN", "GP")
 """Agents of the small table: those of README's figure, and the fastest learner."""
 
-SEARCHED = {"Soft BBQN-MAP, searched": "bbqn", "DQN-Boltzmann, searched": "dqn_boltzmann"}
-"""Agent with searched settings -> the end of its name in results/searched/."""
+
+SCRIPTS = {"repair": "script `repair`", PRIVILEGED_POLICY: "privileged ceiling"}
+"""Policies that do not learn -> their rows."""
 
 UNSPIKED = {"movie": "no spike, full: end", "hotel": "no spike, hotels: end"}
 """Domain of the runs without a spike -> their column."""
@@ -37,11 +39,11 @@ UNSPIKED = {"movie": "no spike, full: end", "hotel": "no spike, hotels: end"}
 def _columns() -> dict[str, dict[str, Seeds]]:
     """Returns column -> agent -> seeds: ``full: 500`` and so on."""
     columns: dict[str, dict[str, Seeds]] = {}
-    for env, infix in (("full", ""), ("extension", "extension_")):
-        runs = {agent: f"table1/{env}/{name}" for agent, name in FILES.items()}
-        runs |= {agent: f"searched/table1_{infix}{name}" for agent, name in SEARCHED.items()}
-        for agent, name in runs.items():
-            own = group(name)
+    for env, of_env in (("full", "full"), ("extension", "domain_ext")):
+        runs = {agent: group(f"table1/{env}/{name}") for agent, name in FILES.items()}
+        searched = cells("searched/table1", of_env)
+        runs |= {f"{agent}, searched": own for agent, own in searched.items()}
+        for agent, own in runs.items():
             values = {f"{budget:,}": own.booked(budget) for budget in BUDGETS} | {"end": own.final}
             for column, of in values.items():
                 seeds = dict(zip(own.members, of, strict=True))
@@ -74,15 +76,15 @@ def _shown(columns: Mapping[str, Mapping[str, Seeds]], heads: Sequence[str]) -> 
     for own in groups("no_spike"):  # of fewer dialogues
         cells[UNSPIKED["movie"]][own.agent] = f"{short(estimate(own.final).value)}*"
     hotel = read_json("bench/bench.json")["scripts"]["hotel, errors reference"]
-    for name, policy in (("script `repair`", "repair"), ("privileged ceiling", PRIVILEGED_POLICY)):
+    for policy, name in SCRIPTS.items():
         movie = short(measured()["movie", "reference", policy]["success_rate"])
         for column, of in cells.items():
             if column == UNSPIKED["hotel"]:
                 of[name] = short(hotel[policy])
             elif not column.startswith("extension"):
                 of[name] = movie
-    names = [name for name in (*FILES, *SEARCHED) if name in next(iter(cells.values()))]
-    names += ["script `repair`", "privileged ceiling"]
+    names = [name for name in next(iter(cells.values())) if name not in SCRIPTS.values()]
+    names += SCRIPTS.values()
     rows = [(name, *(of.get(name, "–") for of in cells.values())) for name in names]
     return (
         f"{table(('agent', *heads), rows, numbers=len(heads))}\n\n"

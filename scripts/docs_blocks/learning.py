@@ -188,23 +188,6 @@ def _gaps(one: Group, other: Group) -> tuple[Estimate, Estimate]:
     return minus(one, other, "early"), minus(one, other, "final")
 
 
-@block("learning.searched_long")
-def _searched_long() -> str:
-    """Returns agents with their searched settings in Table 1's setting, next to others."""
-    names = ["searched/table1_dqn_boltzmann", "searched/table1_bbqn"]
-    names += [f"table1/full/{agent}" for agent in ("dqn_boltzmann", "bbqn_map_soft", "bbqn_map")]
-    first = group(names[0])
-    rows = []
-    for name in names:
-        own = group(name)
-        booked = (estimate(own.booked(budget)) for budget in (EARLY, 5_000))
-        gap = EMPTY if name == names[0] else minus(own, first, "final")
-        label = own.agent + ", searched" * name.startswith("searched")
-        rows.append((label, *booked, estimate(own.final), gap))
-    head = (f"{first.first.rounds} rounds", f"booked after {EARLY:,}", "after 5,000", "final")
-    return table((*head, "minus the first"), rows, numbers=4)
-
-
 def unspiked() -> dict[tuple[str, str], list[dict[str, str]]]:
     """Returns the seeds that learn without spiking, by domain and agent."""
     seeds: dict[tuple[str, str], list[dict[str, str]]] = defaultdict(list)

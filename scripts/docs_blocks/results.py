@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections import Counter
+from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -31,6 +32,9 @@ if TYPE_CHECKING:
 
 OURS = "BBQN-MAP"
 """The agent that Table 1 compares all others with."""
+
+SOFT = "Soft BBQN-MAP"
+"""The default of ``agent=bbqn``, which is not the paper's."""
 
 DOMAINS = {"full": "Full domain", "domain_ext": "Domain extension"}
 """Title of each environment of Table 1."""
@@ -72,29 +76,43 @@ def cells(name: str, env: str) -> dict[str, Group]:
     """Returns the runs of Table 1's agents in an environment, in the paper's order."""
     of_env = labeled(one for one in groups(name) if one.first.env == env)
     found = {one.agent: one for one in of_env}
-    return {agent: found[agent] for agent in PAPER[env] if agent in found}
+    return {agent: found[agent] for agent in (*PAPER[env], SOFT) if agent in found}
 
 
-@block("results.table1", "table1")
+SETTINGS = {
+    "searched/table1": "searched",
+    "printed": "as printed",
+    "table1": "one for all",
+    "paper_batches": "batches of 32",
+}
+"""Runs of Table 1 -> their setting."""
+
+
+@block("results.table1", "searched/table1", "printed", "table1")
 @block("results.paper_batches", "paper_batches")
-@block("results.printed", "printed")
-def _table1(name: str) -> str:
-    """Returns Table 1's agents beside the paper's numbers, with one command."""
-    is_main = name == "table1"
-    head = ["the paper's", "final success", f"{OURS} minus it"]
-    head += [f"booked after {EARLY:,}", "cumulative"] if is_main else []
+def _table1(*names: str) -> str:
+    """Returns Table 1's final success in some settings, and minus BBQN-MAP, with one command."""
+    minuend = f"{OURS} minus it"
+    head = ["the paper's", *chain(*((SETTINGS[name], minuend) for name in names))]
     parts = []
     for env, title in DOMAINS.items():
-        of_env = cells(name, env)
+        of_settings = [cells(name, env) for name in names]
+        papers = {agent: f"{success:.4f}" for agent, (success, *_) in PAPER[env].items()}
         rows = []
-        for agent, own in of_env.items():
-            gap = EMPTY if agent == OURS else minus(of_env[OURS], own, "final")
-            early = _early(own) if is_main else ()
-            rows.append((agent, f"{PAPER[env][agent][0]:.4f}", estimate(own.final), gap, *early))
+        for agent in (*papers, SOFT):
+            row = [agent, papers.get(agent, EMPTY)]
+            for of_agent in of_settings:
+                own, ours = of_agent.get(agent), of_agent.get(OURS)
+                row.append(str(estimate(own.final)) if own else EMPTY)
+                is_paired = own and ours and own is not ours
+                row.append(str(minus(ours, own, "final")) if is_paired else EMPTY)
+            if any(agent in of_agent for of_agent in of_settings):
+                rows.append(row)
         parts.append(table((title, *head), rows, numbers=len(head)))
-        if is_main:
-            parts.append(f"![{title}: learning curves](figures/{name}_{env}.png)")
-    return "\n\n".join([*parts, commands(name)])
+        if "table1" in names:
+            parts.append(f"![{title}: learning curves](figures/table1_{env}.png)")
+    parts += [commands(name.partition("/")[0]) for name in names if groups(name)]
+    return "\n\n".join(parts)
 
 
 def _early(own: Group) -> tuple[object, object]:

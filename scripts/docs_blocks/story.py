@@ -23,8 +23,8 @@ TABLE1 = {"full": "table1/full", "domain_ext": "table1/extension"}
 
 SOFT = [(f"{folder}/bbqn_map_soft", f"{folder}/dqn_boltzmann") for folder in TABLE1.values()]
 SEARCHED_LONG = [
-    (f"searched/table1_{env}bbqn", f"searched/table1_{env}dqn_boltzmann")
-    for env in ("", "extension_")
+    (f"searched/{folder}/bbqn_map_soft", f"searched/{folder}/dqn_boltzmann")
+    for folder in TABLE1.values()
 ]
 """BBQN and DQN-Boltzmann, both searched in Table 1's setting, in each environment."""
 
@@ -86,7 +86,7 @@ def _story() -> str:
     soft = _of_each(SOFT, "early")
     by_vime = _differences("DQN-VIME-MAP", "DQN", "final")
     final = _differences("BBQN-MAP", "DQN", "final")
-    level = _of_folders("table1/full/bbqn_map", "searched/table1_dqn_boltzmann", "final")
+    level = _of_folders("table1/full/bbqn_map", "searched/table1/full/dqn_boltzmann", "final")
     leads = [of_env["BBQN-MAP"][0] - of_env["DQN"][0] for of_env in PAPER.values()]
     explorers = [
         group(f"explorers/bbqn/{number}_{name}")

@@ -63,7 +63,7 @@ def test_an_experiment_is_shown_with_a_command_that_made_it(kept):
     assert text.splitlines()[3].endswith("| +0.250 [+0.131, +0.369] |")
     assert "`python train.py agent=bbqn domain=miulab 'domain.path=<folder>'`" in text
     table1 = BLOCKS["results.table1"]()
-    assert "| DQN | 0.2693 | 0.500 [" in table1
+    assert "| DQN | 0.2693 | – | – | – | – | 0.500 [" in table1
 
 
 def test_two_agents_are_compared_by_pairs(kept):
