@@ -1,20 +1,14 @@
 """Commands in child processes, which tests can stop and kill."""
 
-from __future__ import annotations
-
 import importlib
 import os
 import time
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import forked
 
 from bbq_torchrl.utils import interruption
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 PROGRAMS = {
     "train": "train",
@@ -23,6 +17,8 @@ PROGRAMS = {
     "domains": "bbq_torchrl.cli.calibrate",
     "report": "bbq_torchrl.evaluation.compare_runs",
     "bench": "bbq_torchrl.cli.bench",
+    "chat": "bbq_torchrl.people.chat.__main__",
+    "study": "bbq_torchrl.people.study.__main__",
 }
 """Command -> the module of its main function."""
 
@@ -43,11 +39,11 @@ class Ended:
     err: str
     seconds: float
 
-    def __post_init__(self) -> None:
+    def __post_init__(self):
         assert "Traceback" not in self.err, self.err
 
     @property
-    def line(self) -> str:
+    def line(self):
         """The line that it ended with."""
         assert self.err.count("\n") == 1, self.err
         return self.err.strip()
@@ -56,21 +52,21 @@ class Ended:
 class Command:
     """A process that runs one of :data:`PROGRAMS`."""
 
-    def __init__(self, pid: int, files: tuple[Path, Path]) -> None:
+    def __init__(self, pid, files):
         self.pid = pid
         self._files = files
 
-    def send(self, number: int) -> None:
+    def send(self, number):
         """Sends the process a signal, which has no effect after its end."""
         os.kill(self.pid, number)
 
-    def end(self) -> Ended:
+    def end(self):
         """Waits for its end."""
         _, status, used = os.wait4(self.pid, 0)
         written = (path.read_text() for path in self._files)
         return Ended(os.waitstatus_to_exitcode(status), *written, used.ru_utime + used.ru_stime)
 
-    def works_in(self, folder: Path) -> bool:
+    def works_in(self, folder):
         """True while the process has the lock of a run folder."""
         process = Path(f"/proc/{self.pid}")
         return any(
@@ -80,13 +76,13 @@ class Command:
             for link in (process / "fd").iterdir()
         )
 
-    def until(self, is_so: Callable[[], object]) -> None:
+    def until(self, is_so):
         """Waits for a condition, which must become true before the process ends."""
         while not is_so():
             assert not self._is_over(), self.end()
             time.sleep(0.005)
 
-    def work(self, seconds: float) -> None:
+    def work(self, seconds):
         """Lets the process work for a number of seconds of processor time, or to its end."""
         ticks = seconds * os.sysconf("SC_CLK_TCK")
         while not self._is_over():
@@ -94,10 +90,10 @@ class Command:
                 return
             time.sleep(0.005)
 
-    def _is_over(self) -> bool:
+    def _is_over(self):
         return self._fields()[0] == "Z"
 
-    def _fields(self) -> list[str]:
+    def _fields(self):
         """The kernel's status of the process, from its state on."""
         return Path(f"/proc/{self.pid}/stat").read_text().rpartition(")")[2].split()
 
@@ -105,19 +101,19 @@ class Command:
 class Commands:
     """Starts commands in a folder, which is their working directory."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder):
         self.folder = folder
         self._count = 0
         for name in PROGRAMS.values():
             importlib.import_module(name)  # once, not in every child
 
-    def start(self, program: str, *arguments: str) -> Command:
+    def start(self, program, *arguments):
         """Starts one of :data:`PROGRAMS`."""
         self._count += 1
         out, err = (self.folder / f"{kind}-{self._count}" for kind in ("out", "err"))
         main = importlib.import_module(PROGRAMS[program]).main
 
-        def listening() -> object:
+        def listening():
             interruption.listen()
             return main()
 
@@ -125,13 +121,13 @@ class Commands:
             pid = forked.start(listening, arguments, self.folder, first, second)
         return Command(pid, (out, err))
 
-    def run(self, program: str, *arguments: str, code: int = 0) -> Ended:
+    def run(self, program, *arguments, code=0):
         """Runs a command to its end, which must be the exit code."""
         ended = self.start(program, *arguments).end()
         assert ended.code == code, (arguments, ended)
         return ended
 
-    def kill(self, program: str, *arguments: str, number: int, after: float) -> Ended:
+    def kill(self, program, *arguments, number, after):
         """Starts a command and sends it a signal after a number of seconds of processor time."""
         command = self.start(program, *arguments)
         command.work(after)

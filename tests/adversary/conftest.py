@@ -21,7 +21,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     # Background commands of a shell ignore Ctrl-C, and their child processes inherit that.
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
-OUTCOMES: Counter[str] = Counter()
+OUTCOMES = Counter()
 """``<attempt>: <outcome>`` -> its count in the tests that passed."""
 
 
@@ -50,7 +50,7 @@ def commands(tmp_path_factory):
 
 
 @pytest.fixture
-def rng(request) -> random.Random:
+def rng(request):
     print(f"BBQ_SEED={SEED}")
     return random.Random(f"{SEED} {request.node.name}")
 
@@ -58,9 +58,9 @@ def rng(request) -> random.Random:
 @pytest.fixture(scope="session")
 def references(commands):
     """Makes, once for each configuration, an undisturbed run."""
-    made: dict[str, Reference] = {}
+    made = {}
 
-    def of(name: str) -> Reference:
+    def of(name):
         if name not in made:
             folder = Path(commands.folder) / f"reference-{name}"
             ended = commands.run("train", *CONFIGURATIONS[name], f"hydra.run.dir={folder}")

@@ -1,16 +1,11 @@
 """Comparison of run folders: metrics, weights and buffers, bit by bit."""
 
-from __future__ import annotations
-
 import json
 import zipfile
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from pathlib import Path
 
 from tiny import rows
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 
 @dataclass
@@ -28,7 +23,7 @@ class Reference:
     seconds: float
 
 
-def state(folder: Path) -> dict[str, int]:
+def state(folder):
     """Checksums of the newest checkpoint's content, without the metrics, which have times."""
     newest = max((folder / "checkpoint").glob("round-*.torchrl"))
     with zipfile.ZipFile(newest) as archive:
@@ -42,14 +37,14 @@ def state(folder: Path) -> dict[str, int]:
     return parts
 
 
-def result(folder: Path) -> dict[str, object]:
+def result(folder):
     """result.json without its time."""
     found = json.loads((folder / "result.json").read_text())
     del found["wall_seconds"]
     return found
 
 
-def assert_same(folder: Path, reference: Path) -> None:
+def assert_same(folder, reference):
     """Asserts that the run has ended with the reference's results."""
     assert rows(folder / "metrics.csv") == rows(reference / "metrics.csv")
     assert state(folder) == state(reference)

@@ -14,8 +14,7 @@ from pathlib import Path
 import forked
 import pytest
 import yaml
-from prepared import prepared
-from tiny import nightly
+from tiny import nightly, prepared
 
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import run

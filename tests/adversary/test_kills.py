@@ -1,7 +1,6 @@
 """Trainings killed repeatedly at any moment end like undisturbed ones."""
 
 import json
-import shutil
 import signal
 
 import pytest
@@ -45,24 +44,6 @@ def test_a_run_that_is_killed_ends_the_same(commands, references, rng, record_pr
         assert ended.code == 0 or "is finished" in ended.line
         assert_same(folder, reference.folder)
     record_property("kill -9 in a training: resumed to the same, bit for bit", kills)
-
-
-@pytest.mark.parametrize("removed", [False, True])
-def test_a_run_whose_folder_goes_ends_in_a_sentence(commands, references, removed):
-    reference = references("bbqn")
-    folder, moved = (commands.folder / f"{name}-{removed}" for name in ("old", "moved"))
-    longer = (*reference.overrides, "protocol.rounds=400", f"hydra.run.dir={folder}")
-    command = commands.start("train", *longer)
-    command.until((folder / "metrics.csv").exists)
-    folder.rename(moved)
-    if removed:
-        shutil.rmtree(moved)
-
-    ended = command.end()
-
-    assert ended.code == 1
-    assert str(folder) in ended.err
-    assert not folder.exists()
 
 
 def test_the_jobs_of_a_sweep_that_is_killed_end_the_same(commands, rng, record_property):

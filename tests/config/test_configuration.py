@@ -1,14 +1,16 @@
 """The configurations of command lines."""
 
-import re
 from dataclasses import asdict
+from itertools import product
 
 import pytest
+import yaml
 from tiny import composed, nightly
 
+from bbq_torchrl.evaluation.compare_runs import PAPER
 from bbq_torchrl.evaluation.finished_runs import agent_name
 from bbq_torchrl.options import explorations, registry
-from bbq_torchrl.options.registry import options
+from bbq_torchrl.options.registry import conf_folder, options
 from bbq_torchrl.options.task import replica_values
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.folders import load_config, save_config
@@ -84,18 +86,6 @@ def test_an_experiment_leaves_the_agent_to_the_command_line(experiment):
     assert config.protocol.rounds == 7
 
 
-def test_the_papers_start_is_the_prior_with_the_kl_at_full_weight():
-    agent = compose(["+experiment=paper_start"]).agent
-    assert (agent.mean_init, agent.std_init, agent.kl_temperature) == ("zero", None, 1.0)
-
-
-def test_the_public_setting_has_no_errors_and_the_goals_of_the_first_template():
-    config = compose(["+experiment=tcbot", "domain.path=corpus"])
-    assert config.env.slot_error_prob == config.env.intent_error_prob == 0
-    assert config.domain.goals == "user_goals_first_turn_template.part.movie.v1.p"
-    assert config.protocol.rounds * config.protocol.dialogues == 2_000
-
-
 def test_an_experiment_of_a_folder_decides_over_groups_and_keys(tmp_path, monkeypatch):
     monkeypatch.setenv(registry.FOLDER_VARIABLE, str(tmp_path))
     (tmp_path / "experiment" / "agents").mkdir(parents=True)
@@ -124,24 +114,41 @@ def test_a_list_is_shared_out_among_the_replicas(tmp_path):
     assert replica_values(compose(["replicas=2"])) == [{}, {}]
 
 
-@pytest.mark.parametrize(
-    ("choices", "key"),
-    [
-        ("spike=imitate spike.dialogues=0", "spike.dialogues"),
-        ("explore=epsilon_greedy explore.eps_init=[.1,.3] explore.eps_end=.2", "explore.eps_init"),
-        ("agent=gp protocol.capacity=511", "agent.inducing"),
-        ("protocol.capacity=31", "protocol.capacity"),
-        ("device=cuda:x", "device"),
-    ],
-)
-def test_what_does_not_fit_together_is_refused_by_key(choices, key):
-    """The other rules have rows in tests/adversary/bad_input.yaml."""
-    with pytest.raises(ConfigError, match=re.escape(f"{key} ")):
-        compose(choices.split())
-
-
 def test_the_edges_of_what_fits_together_are_composed():
     assert compose(["agent=gp", "protocol.capacity=512"]).protocol.capacity == 512
     assert compose(["protocol=quick", "agent=gp"]).protocol.capacity == 40_000
     compose(["protocol.capacity=32", "protocol.updates_per_round=2", "explore.temperature_end=.7"])
     compose(["agent=bootstrap", "agent.trunk_layers=2", "replicas=4", "agent.lr=[.1,.2]"])
+
+
+def sweeps(folder):
+    """Name and overrides of every job of the sweeps in a folder of ``conf/experiment``."""
+    for file in sorted((conf_folder() / "experiment" / folder).glob("*.yaml")):
+        recipe = yaml.safe_load(file.read_text())
+        params = recipe.get("hydra", {}).get("sweeper", {}).get("params", {})
+        lists = [[f"{key}={value}" for value in str(params[key]).split(",")] for key in params]
+        yield from ((f"{folder}/{file.stem}", list(job)) for job in product(*lists))
+
+
+@pytest.mark.parametrize(
+    ("setting", "env", "rounds"),
+    [("table1_full", "full", 150), ("table1_extension", "domain_ext", 200)],
+)
+def test_every_cell_of_table1_has_a_recipe(setting, env, rounds):
+    recipes = {name.removeprefix("agents/") for name in options("experiment")}
+    assert {name.replace("-", "_").lower() for name in PAPER[env]} <= recipes
+    config = compose([f"+experiment=[agents/dqn_vime_mc,{setting}]"])
+    assert (config.env.name, config.protocol.rounds, config.replicas) == (env, rounds, 5)
+    assert agent_name(asdict(config)) == "DQN-VIME-MC"
+    assert all(0 < rate < 1 for rate, _ in PAPER[env].values())
+
+
+def test_every_ablation_changes_one_key_of_the_reference():
+    reference = asdict(compose(["+experiment=ablations/reference"]))
+    last = {name: overrides for name, overrides in sweeps("ablations") if overrides}
+    assert last
+    for name, (override,) in last.items():
+        group, key = override.partition("=")[0].split(".")
+        config = asdict(compose([f"+experiment={name}", override]))
+        assert config[group][key] != reference[group][key]
+        assert config | {group: config[group] | {key: reference[group][key]}} == reference

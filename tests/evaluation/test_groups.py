@@ -109,16 +109,6 @@ def test_metrics_and_result_must_be_of_one_run(add):
         read_groups([run])
 
 
-@pytest.mark.parametrize("text", [None, "- 1\n", "seed: 1\n", "agent: {}\nexplore: {name: a}\n"])
-def test_a_configuration_that_is_none_is_refused(add, text):
-    file = add([0.5]) / "config.yaml"
-    file.unlink()
-    if text is not None:
-        file.write_text(text)
-    with pytest.raises(ValueError, match=r"config\.yaml"):
-        read_groups([file.parent])
-
-
 def test_references_are_drawn_where_all_runs_have_the_same_users(add):
     known, privileged = (
         {"clairvoyant": 0.8},

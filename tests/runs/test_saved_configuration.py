@@ -4,9 +4,7 @@ import dataclasses
 import json
 
 import pytest
-import yaml
-from prepared import prepared, resumed
-from tiny import composed
+from tiny import composed, prepared, resumed
 
 from bbq_torchrl.cli import evaluate
 from bbq_torchrl.runs.compose import compose
@@ -28,29 +26,6 @@ def test_a_saved_configuration_is_read_back_as_it_was(tmp_path, command):
     assert load_config(tmp_path / "config.yaml") == config
 
 
-DAMAGES = {
-    "not YAML": "agent: [",
-    "not a mapping": "- 1",
-    "no option": {"agent": None},
-    "unknown option": {"agent": {"name": "other"}},
-    "unknown group": {"other": 1},
-    "unknown key": {"explore": {"name": "greedy", "other": 1}},
-    "invalid value": {"seed": -1},
-    "reference": {"threads": "${oc.env:HOME}"},
-}
-
-
-@pytest.mark.parametrize("damage", DAMAGES)
-def test_a_damaged_configuration_is_refused_with_its_file(tmp_path, damage):
-    file = tmp_path / "config.yaml"
-    save_config(composed("agent=dqn"), file)
-    change = DAMAGES[damage]
-    saved = yaml.safe_load(file.read_text())
-    file.write_text(change if isinstance(change, str) else yaml.safe_dump({**saved, **change}))
-    with pytest.raises(ConfigError, match=str(file)):
-        load_config(file)
-
-
 RUN = ("agent=dqn", "agent.gamma=[.8,.9]", "replicas=2", "threads=3", "protocol.rounds=5")
 
 
@@ -63,19 +38,6 @@ def test_a_resumed_run_has_its_own_configuration_but_for_what_may_change(tmp_pat
     assert changed == dataclasses.replace(
         compose([*RUN, *changes, "logger.project=mine"]), resume=str(tmp_path)
     )
-
-
-@pytest.mark.parametrize(
-    "change",
-    [
-        *("seed=1", "agent=bbqn", "agent.lr=.5"),
-        "protocol.rounds=4",  # fewer
-    ],
-)
-def test_a_resumed_run_keeps_everything_else(tmp_path, change):
-    save_config(composed(*RUN), tmp_path / "config.yaml")
-    with pytest.raises(ConfigError, match=change.partition("=")[0]):
-        resumed(tmp_path, change)
 
 
 def test_the_domain_of_a_resumed_or_evaluated_run_may_have_been_moved(tmp_path):
@@ -110,12 +72,6 @@ def test_a_resumed_run_goes_on_in_its_folder_with_hydras_record_as_it_was(tmp_pa
     config, hydra = prepared(f"resume='{quoted}'")
     assert (config.agent.name, config.resume) == ("dqn", str(folder))
     assert (hydra.run.dir, hydra.output_subdir) == (str(folder), None)
-
-
-def test_a_folder_with_a_run_is_not_used_again(tmp_path):
-    save_config(composed("agent=dqn"), tmp_path / "config.yaml")
-    with pytest.raises(ConfigError, match=f"resume={tmp_path}"):
-        prepared(f"hydra.run.dir={tmp_path}")
 
 
 def test_a_job_that_a_launcher_starts_again_goes_on_in_its_folder(tmp_path):

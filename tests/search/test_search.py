@@ -20,7 +20,6 @@ from tiny import rows
 
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.folders import save_config
-from bbq_torchrl.search.__main__ import main
 from bbq_torchrl.search.definition import Search, compose_search
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import TrainingError
@@ -37,10 +36,6 @@ from bbq_torchrl.search import trials as study  # noqa: E402
 from bbq_torchrl.search.trials import run_search  # noqa: E402
 
 ROUNDS = 4
-
-
-class Killed(BaseException):
-    """Ends a process as a kill would."""
 
 
 def success(lr):
@@ -171,24 +166,6 @@ def test_of_choices_alone_none_is_tried_twice(tmp_path):
     assert len(tried) == len(set(tried)) == 3 * 2
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(("of", "trial"), [("dqn", 2), ("choices", 3), ("dqn", 0)])
-def test_a_search_that_was_killed_ends_as_one_that_was_not(tmp_path, of, trial, impatient):
-    given = ("search.pruner=none", "search.sampler=random")  # which do not hang on the order
-    search(tmp_path / "whole", *given, of=of)
-    with pytest.raises(Killed):
-        search(tmp_path / "parts", *given, of=of, training=Training({(trial, 2): Killed}))
-    again = Training()
-    search(tmp_path / "parts", *given, of=of, training=again)
-    columns = ("trial", "state", "value", "agent.lr", "rounds", "reason")
-    assert [[row[key] for key in columns] for row in table(tmp_path / "parts")] == [
-        [row[key] for key in columns] for row in table(tmp_path / "whole")
-    ]
-    # Finished trials were not played again, and the killed one from where it was.
-    assert (trial, 1) not in again.played
-    assert again.trials == set(range(trial, 4))
-
-
 def test_a_finished_search_is_extended_by_more_trials(tmp_path):
     search(tmp_path, trials=2)
     before, again = table(tmp_path), Training()
@@ -282,25 +259,6 @@ def test_a_trials_folder_with_a_run_of_other_values_is_left_alone(tmp_path, plai
     assert training.trials == {0}
     assert [row["state"] for row in table(tmp_path)] == ["complete", "fail"]
     assert (other / "config.yaml").read_text() == before
-
-
-@pytest.mark.parametrize(
-    ("argument", "key"),
-    [
-        ("search.trials=0", "search.trials"),
-        ("search.trialz=3", "trialz"),
-        ("search.space.agent.lr.low=x", "search.space.agent.lr"),
-        ("search.space.agent.lr.type=complex", "search.space.agent.lr.type"),
-        ("search.space={}", "search.space"),
-        ("resume=here", "resume"),
-        ("agent", "agent"),
-    ],
-)
-def test_an_invalid_search_is_refused_with_its_key(tmp_path, argument, key, capsys):
-    given = [f"search={Path(__file__).with_name('dqn.yaml')}", f"search.folder={tmp_path / 'f'}"]
-    assert main([*given, argument]) == 2
-    assert key in capsys.readouterr().err
-    assert not (tmp_path / "f").exists()
 
 
 @pytest.mark.parametrize("name", ["a%23b", "a{b} é"])

@@ -1,6 +1,4 @@
-"""``bbq chat``: sessions of typed lines from beginning to end."""
-
-from __future__ import annotations
+"""``bbq chat``: sessions of typed lines from beginning to end, and the keys of a terminal."""
 
 import io
 import re
@@ -8,11 +6,14 @@ import sys
 
 import pytest
 from acts import HOSTILE, Acts
+from prompt_toolkit.application import create_app_session
+from prompt_toolkit.input import create_pipe_input
+from prompt_toolkit.output import DummyOutput
 from rich.console import Console
 
 from bbq_torchrl.domains import Goal
 from bbq_torchrl.people.chat import Partner, __main__
-from bbq_torchrl.people.chat.terminal import Chat
+from bbq_torchrl.people.chat.terminal import Chat, prompt
 from bbq_torchrl.people.dialogue.judge import Judge, choose_goal
 from bbq_torchrl.utils.extras import needed
 
@@ -111,28 +112,6 @@ def test_a_session_of_typed_lines_hostile_ones_too(runs, understand, tmp_path, m
 
 
 @pytest.mark.parametrize(
-    ("arguments", "key"),
-    [
-        ("shipped:nobody", "shipped:"),
-        ("nowhere", "nowhere"),
-        ("RUN --goal 0", "--goal"),
-        ("RUN --nlu endpoint", "--url"),
-        ("RUN --control yes", "--control"),
-        ("RUN --understander gone.npz", "gone.npz"),
-        ("RUN --understander a --labeled b", "--labeled"),
-        ("RUN --config-dir gone", "--config-dir"),
-    ],
-)
-def test_what_cannot_be_is_refused_in_a_sentence(runs, capsys, monkeypatch, arguments, key):
-    monkeypatch.setattr(sys, "stdin", io.StringIO(""))
-    given = [str(runs / "dqn") if item == "RUN" else item for item in arguments.split()]
-    assert __main__.main([*given, "--plain"]) == 2
-    error = capsys.readouterr().err
-    assert key in error
-    assert "Traceback" not in error
-
-
-@pytest.mark.parametrize(
     ("library", "told"), [("rich", "chat]"), ("httpx", "llm]"), (None, "endpoint's key")]
 )
 def test_what_is_missing_is_told_before_a_run_is_looked_for(monkeypatch, capsys, library, told):
@@ -149,3 +128,42 @@ def test_what_is_missing_is_told_before_a_run_is_looked_for(monkeypatch, capsys,
     error = capsys.readouterr().err
     assert told in error
     assert "secret" not in error
+
+
+@pytest.fixture
+def typed(partner, decided):
+    """Types in a chat with an agent that asks for the city."""
+    decided(partner.agent, *["request(city)"] * 2)
+    names = dict.fromkeys(partner.agent.domain.slots, "name")
+
+    def shown(*lines):
+        screen = io.StringIO()
+        console = Console(file=screen, force_terminal=True, color_system=None, width=100)
+        goal = choose_goal(partner.agent.domain, 1, 0)
+        with (
+            create_pipe_input() as keyboard,
+            create_app_session(input=keyboard, output=DummyOutput()),
+        ):
+            read, todo = prompt(), iter(lines)
+
+            def type_and_read():
+                keyboard.send_text(next(todo))
+                return read()
+
+            Chat(partner, goal, console, names=names).run(type_and_read)
+        return screen.getvalue()
+
+    return shown
+
+
+def test_arrow_up_brings_back_what_was_typed(typed):
+    assert typed("inform(city=reno)\r", "\x1b[A\r", "/quit\r").count("agent: ") == 2
+
+
+def test_tab_completes_a_command(typed):
+    assert "Nothing was said yet." in typed("/wh\t\r", "\x04")
+
+
+@pytest.mark.parametrize("key", ["\x03", "\x04"], ids=["Ctrl-C", "Ctrl-D"])
+def test_a_key_ends_the_conversation_and_tells_the_outcome(typed, key):
+    assert "Failure: no booking was offered" in typed(key)

@@ -1,7 +1,5 @@
 """Reports and exported data, also of studies in which nothing or always the same happens."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re
@@ -20,7 +18,6 @@ from bbq_torchrl.people.study.report import report, write_report
 from bbq_torchrl.people.study.storage import Store
 
 from .fakes import FakeTalker
-from .served import free_port
 
 WON, LOST = (), ("wishes", "no ticket")
 
@@ -176,31 +173,6 @@ def test_the_power_command_prints_what_it_found(capsys):
     first, second = capsys.readouterr().out.splitlines()
     assert first.endswith(f"{power(0.9, 0.1, 20, person_sd=1.0, simulations=100):.3f}")
     assert second.endswith("0.050")
-
-
-@pytest.mark.parametrize(
-    ("command", "key"),
-    [
-        ("report nowhere.yaml", "nowhere.sqlite"),
-        ("serve nowhere.yaml --port {free} --talker no.such:thing", "--talker"),
-        ("serve nowhere.yaml --port {free} --talker json:dumps", "nowhere.yaml"),
-        ("power 1.5 0.4 66", "better"),
-        ("power 0.6 0.4 0", "people"),
-        ("serve a --talker b:c --port x", "--port"),
-    ],
-)
-def test_a_command_that_cannot_be_done_is_told_in_a_sentence(
-    tmp_path, monkeypatch, capsys, command, key
-):
-    monkeypatch.chdir(tmp_path)
-    try:
-        code = main(command.format(free=free_port()).split())
-    except SystemExit as ended:
-        code = ended.code
-    error = capsys.readouterr().err
-    assert code == 2
-    assert key in error.splitlines()[-1]
-    assert error.startswith("usage: ") or error.count("\n") == 1
 
 
 def test_report_and_power_need_neither_torch_nor_the_extra(tmp_path):
