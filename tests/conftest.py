@@ -1,7 +1,5 @@
 """Fixtures that every test may use: the domains, and the public corpus where it is present."""
 
-from __future__ import annotations
-
 import gc
 import os
 
@@ -13,7 +11,6 @@ if "BBQ_TEST_CUDA" not in os.environ:
 import random
 import zlib
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
@@ -22,10 +19,7 @@ from hypothesis import settings
 from tiny import without_drawing
 
 from bbq_torchrl.bayes import GaussianPosterior
-from bbq_torchrl.domains import Domain, load_domain, load_miulab, movie_domain
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator
+from bbq_torchrl.domains import load_domain, load_miulab, movie_domain
 
 TESTS = Path(__file__).parent
 DEFAULT_TCBOT = TESTS.parent.parent / "shared" / "data" / "tcbot"
@@ -51,14 +45,14 @@ settings.register_profile(
 settings.load_profile("same_draws")
 
 
-def pytest_collection_finish() -> None:
+def pytest_collection_finish():
     """From here on garbage is collected, but not among what was imported, which stays."""
     gc.freeze()
     gc.enable()
 
 
 @pytest.fixture(autouse=True)
-def _seeded_by_its_name(request: pytest.FixtureRequest) -> None:
+def _seeded_by_its_name(request):
     """Seeds a test by its name alone, not by the tests that ran before it."""
     seed = zlib.crc32(request.node.nodeid.encode())
     torch.manual_seed(seed)
@@ -67,11 +61,11 @@ def _seeded_by_its_name(request: pytest.FixtureRequest) -> None:
 
 
 @pytest.fixture
-def drawn_noise(monkeypatch: pytest.MonkeyPatch) -> list[torch.Tensor]:
+def drawn_noise(monkeypatch):
     """The noise that weight draws use, in order, [replicas, weights] each."""
-    drawn: list[torch.Tensor] = []
+    drawn = []
 
-    def fill(self: GaussianPosterior, buffer: torch.Tensor) -> None:
+    def fill(self, buffer):
         buffer.normal_()
         drawn.append(buffer.reshape(-1, buffer.shape[-1]).clone())
 
@@ -80,14 +74,14 @@ def drawn_noise(monkeypatch: pytest.MonkeyPatch) -> list[torch.Tensor]:
 
 
 @pytest.fixture(scope="module")
-def without_curves() -> Iterator[None]:
+def without_curves():
     """Curves are empty files, and no other policy is played at the end of a run."""
     with without_drawing():
         yield
 
 
 @pytest.fixture(scope="session")
-def tcbot() -> Path:
+def tcbot():
     """The folder of MiuLab's public corpus; tests that need it are skipped where it is absent."""
     folder = Path(os.environ.get("BBQ_TCBOT", DEFAULT_TCBOT))
     if not (folder / "movie_kb.1k.p").is_file():
@@ -96,24 +90,24 @@ def tcbot() -> Path:
 
 
 @pytest.fixture(scope="session")
-def miulab(tcbot: Path) -> Domain:
+def miulab(tcbot):
     """MiuLab's corpus with its default files."""
     return load_miulab(tcbot)
 
 
 @pytest.fixture(scope="session")
-def movie() -> Domain:
+def movie():
     """The movie domain that comes with the package."""
     return movie_domain()
 
 
 @pytest.fixture(scope="session")
-def restaurant_folder() -> Path:
+def restaurant_folder():
     """The folder of a small domain of another kind: tables in restaurants."""
     return TESTS / "data" / "restaurant"
 
 
 @pytest.fixture(scope="session")
-def restaurant(restaurant_folder: Path) -> Domain:
+def restaurant(restaurant_folder):
     """A small domain of another kind: tables in restaurants."""
     return load_domain(restaurant_folder)

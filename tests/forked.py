@@ -5,8 +5,6 @@ working directory, arguments, output and an exit code of its own; what only a fr
 shows (what is imported, say) needs a real one.
 """
 
-from __future__ import annotations
-
 import importlib
 import logging
 import os
@@ -21,10 +19,6 @@ import warnings
 from contextlib import suppress
 from functools import cache, partial
 from pathlib import Path
-from typing import IO, TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 ROOT = Path(__file__).resolve().parents[1]
 
@@ -32,13 +26,13 @@ SECONDS = 1_800
 """After so long a child is ended: it hangs."""
 
 
-def run_script(script: Path, *arguments: str, cwd: Path, code: int = 0) -> tuple[str, str]:
+def run_script(script, *arguments, cwd, code=0):
     """Runs a script as ``python <script> <arguments>`` does; see :func:`call`."""
     main = partial(runpy.run_path, str(script), run_name="__main__")
     return call(lambda: main() and 0, *arguments, cwd=cwd, code=code)
 
 
-def call(main: Callable[[], object], *arguments: str, cwd: Path, code: int = 0) -> tuple[str, str]:
+def call(main, *arguments, cwd, code=0):
     """Calls ``main`` with these command line arguments, which must end with the exit code.
 
     Returns:
@@ -49,7 +43,7 @@ def call(main: Callable[[], object], *arguments: str, cwd: Path, code: int = 0) 
     return written[0], written[1]
 
 
-def end(main: Callable[[], object], *arguments: str, cwd: Path) -> tuple[int, str, str]:
+def end(main, *arguments, cwd):
     """Calls ``main``. Returns its exit code, its standard output and its standard error."""
     with tempfile.TemporaryFile("w+") as out, tempfile.TemporaryFile("w+") as err:
         _, status = os.waitpid(start(main, arguments, cwd, out, err), 0)
@@ -58,9 +52,7 @@ def end(main: Callable[[], object], *arguments: str, cwd: Path) -> tuple[int, st
         return os.waitstatus_to_exitcode(status), out.read(), err.read()
 
 
-def start(
-    main: Callable[[], object], arguments: tuple[str, ...], cwd: Path, out: IO, err: IO
-) -> int:
+def start(main, arguments, cwd, out, err):
     """Begins to call ``main``. Returns the child's process id."""
     _import_what_commands_import()
     with warnings.catch_warnings():
@@ -72,7 +64,7 @@ def start(
 
 
 @cache
-def _import_what_commands_import() -> None:
+def _import_what_commands_import():
     """Imports, once and not in every child, what commands import as they go."""
     of_torchrl = ("bbq_torchrl.exploration", "bbq_torchrl.objectives", "bbq_torchrl.runs.final")
     # tensordict looks for pandas.
@@ -81,13 +73,13 @@ def _import_what_commands_import() -> None:
             importlib.import_module(name)
 
 
-def environment() -> dict[str, str]:
+def environment():
     """The environment of a Python that finds the package, and what this one was given besides."""
     path = [str(ROOT), *filter(None, [os.environ.get("PYTHONPATH")])]
     return {**os.environ, "OMP_NUM_THREADS": "1", "PYTHONPATH": os.pathsep.join(path)}
 
 
-def python(*arguments: object, cwd: Path, code: int = 0) -> tuple[str, str]:
+def python(*arguments, cwd, code=0):
     """Runs Python in a process of its own, as a person does; see :func:`call`."""
     done = subprocess.run(
         [sys.executable, *map(str, arguments)],
@@ -101,7 +93,7 @@ def python(*arguments: object, cwd: Path, code: int = 0) -> tuple[str, str]:
     return done.stdout, done.stderr
 
 
-def process(*arguments: str, cwd: Path) -> subprocess.Popen:
+def process(*arguments, cwd):
     """Starts ``train.py`` in a process of its own, with a process group of its own."""
     return subprocess.Popen(
         [sys.executable, str(ROOT / "train.py"), *arguments],
@@ -114,7 +106,7 @@ def process(*arguments: str, cwd: Path) -> subprocess.Popen:
     )
 
 
-def wait_until(started: subprocess.Popen, is_so: Callable[[], object]) -> None:
+def wait_until(started, is_so):
     """Waits for a condition, which must become true before the process ends."""
     end = time.monotonic() + SECONDS
     while not is_so():
@@ -123,9 +115,7 @@ def wait_until(started: subprocess.Popen, is_so: Callable[[], object]) -> None:
         time.sleep(0.005)
 
 
-def _run(
-    main: Callable[[], object], arguments: tuple[str, ...], cwd: Path, out: IO, err: IO
-) -> None:
+def _run(main, arguments, cwd, out, err):
     """Becomes the command; never returns."""
     signal.alarm(SECONDS)
     for number, file in ((1, out), (2, err)):
@@ -135,7 +125,7 @@ def _run(
     for category in (DeprecationWarning, PendingDeprecationWarning, ImportWarning, ResourceWarning):
         warnings.simplefilter("ignore", category)
     logging.getLogger().handlers.clear()  # pytest's
-    code: object = 1
+    code = 1
     try:
         os.chdir(cwd)
         sys.argv = ["train.py", *arguments]

@@ -1,31 +1,25 @@
 """Checkpoints that somebody has changed, or put a pickle into: loading that makes a file."""
 
-from __future__ import annotations
-
 import io
 import json
 import zipfile
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import torch
 from tensordict import NonTensorData, TensorDict
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
 
 
 class Payload:
     """Unpickling it touches a file."""
 
-    def __init__(self, marker: Path) -> None:
+    def __init__(self, marker):
         self.marker = marker
 
     def __reduce__(self):
         return Path.touch, (self.marker,)
 
 
-def rewritten(archive: Path, change: Callable[[dict[str, bytes]], object]) -> None:
+def rewritten(archive, change):
     """Changes the members of an archive and gives them the right checksums."""
     with zipfile.ZipFile(archive) as old:
         members = {name: old.read(name) for name in old.namelist()}
@@ -35,13 +29,13 @@ def rewritten(archive: Path, change: Callable[[dict[str, bytes]], object]) -> No
             new.writestr(name, content)
 
 
-def plant(archive: Path, marker: Path, *, as_tensordict: bool = False) -> None:
+def plant(archive, marker, *, as_tensordict=False):
     """Puts a pickle where torch's loader, or tensordict's, finds it.
 
     The archive stays whole: every checksum is right, and the manifest lists every file.
     """
 
-    def put(members: dict[str, bytes]) -> None:
+    def put(members):
         manifest = json.loads(members["manifest.json"])
         record = manifest["components"][min(manifest["components"])]
         file = f"{record['path']}/state.pt"
@@ -64,7 +58,7 @@ def plant(archive: Path, marker: Path, *, as_tensordict: bool = False) -> None:
     rewritten(archive, put)
 
 
-def runs_code(archive: Path) -> None:
+def runs_code(archive):
     """Loads what is planted in the way that nobody should."""
     with zipfile.ZipFile(archive) as file:
         (state,) = (name for name in file.namelist() if name.endswith("state.pt"))

@@ -1,4 +1,7 @@
-"""Transitions, actors and reference computations for the tests of the losses."""
+"""Transitions, actors, dynamics and reference computations for the tests of the losses."""
+
+import pickle
+from copy import deepcopy
 
 import torch
 from tensordict import TensorDict
@@ -8,6 +11,7 @@ from torchrl.objectives import HardUpdate
 from bbq_torchrl.bayes import BayesMLP
 from bbq_torchrl.networks import BootstrapMLP, FlatMLP, NoisyMLP, bootstrap_actor, q_actor
 from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, DropoutDQNLoss, NoisyDQNLoss
+from bbq_torchrl.vime import DynamicsLoss, DynamicsModel
 
 FEATURES, ACTIONS, BATCH, HEADS = 5, 4, 32, 3
 REPLICAS = [(), (1,), (3,), (2, 2)]
@@ -139,3 +143,33 @@ def assert_learns(loss, out, expected):
         torch.autograd.grad(out["loss"], parameters),
         torch.autograd.grad(expected.sum(), parameters),
     )
+
+
+# How a loss is copied, with another one at hand that was made alike.
+COPIES = {
+    "state": lambda loss, other: other.load_state_dict(loss.state_dict()) and other,
+    "assigned": lambda loss, other: other.load_state_dict(loss.state_dict(), assign=True) and other,
+    "deepcopy": lambda loss, _: deepcopy(loss),
+    "pickle": lambda loss, _: pickle.loads(pickle.dumps(loss)),
+}
+
+
+def model(replicas=(), dtype=torch.float, **settings):
+    """A model away from the prior, with statistics of its own."""
+    dynamics = DynamicsModel(FEATURES, ACTIONS, (8,), replicas=replicas, dtype=dtype, **settings)
+    off_prior(dynamics.network)
+    dynamics.update_statistics(1 + 2 * torch.randn(*replicas, 40, FEATURES, dtype=dtype))
+    return dynamics
+
+
+def dynamics_loss(replicas=(), dtype=torch.float, **settings):
+    return DynamicsLoss(model(replicas, dtype), **{"num_data": 100, **settings})
+
+
+def result(loss, td):
+    torch.manual_seed(0)
+    return loss(td)
+
+
+def gradients(loss, td):
+    return torch.autograd.grad(result(loss, td)["loss"], list(loss.parameters()))

@@ -1,25 +1,13 @@
-"""Result folders of runs that never ran, and the jobs of recipes."""
-
-from __future__ import annotations
-
-from itertools import product
-from typing import TYPE_CHECKING
+"""Result folders of runs that never ran."""
 
 import yaml
 
 from bbq_torchrl.evaluation.run_result import RunResult, replica_result, write_json
-from bbq_torchrl.options.registry import conf_folder
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping
-    from pathlib import Path
 
 DIALOGUES = 100
 
 
-def run_result(
-    rates: list[float], values: list[dict[str, float]] | None = None, **described: object
-) -> RunResult:
+def run_result(rates, values=None, **described):
     """A result whose replicas have these success rates; they were half as good in training."""
     replicas = [
         replica_result(
@@ -46,7 +34,7 @@ def run_result(
     return RunResult.of(replicas, **(given | described))
 
 
-def metrics_text(rates: list[float], rounds: int, eval_every: int = 0) -> str:
+def metrics_text(rates, rounds, eval_every=0):
     """Training success half of the rates; an evaluation is by as many tenths below as rounds are
     missing."""
     lines = ["round,replica,dialogues,success_rate" + (",eval_success_rate" if eval_every else "")]
@@ -61,20 +49,20 @@ def metrics_text(rates: list[float], rounds: int, eval_every: int = 0) -> str:
 
 
 def make_run(
-    folder: Path,
-    rates: list[float],
+    folder,
+    rates,
     *,
-    agent: str = "bbqn",
-    explore: str | None = None,
-    seed: int = 0,
-    rounds: int = 3,
-    eval_every: int = 0,
-    changes: Mapping[str, object] | None = None,
-    values: list[dict[str, float]] | None = None,
-    references: Mapping[str, float] | None = None,
-    scripted: Mapping[str, float] | None = None,
-    **agent_keys: object,
-) -> Path:
+    agent="bbqn",
+    explore=None,
+    seed=0,
+    rounds=3,
+    eval_every=0,
+    changes=None,
+    values=None,
+    references=None,
+    scripted=None,
+    **agent_keys,
+):
     """Writes what a finished run leaves behind. Returns the folder.
 
     ``changes`` are of the configuration: dotted key to value.
@@ -105,12 +93,3 @@ def make_run(
     result = run_result(rates, values, **described)
     write_json(result, folder / "result.json")
     return folder
-
-
-def sweeps(folder: str) -> Iterator[tuple[str, list[str]]]:
-    """Name and overrides of every job of the sweeps in a folder of ``conf/experiment``."""
-    for file in sorted((conf_folder() / "experiment" / folder).glob("*.yaml")):
-        recipe = yaml.safe_load(file.read_text())
-        params = recipe.get("hydra", {}).get("sweeper", {}).get("params", {})
-        lists = [[f"{key}={value}" for value in str(params[key]).split(",")] for key in params]
-        yield from ((f"{folder}/{file.stem}", list(job)) for job in product(*lists))

@@ -1,22 +1,14 @@
 """Trainings of a second or two: their overrides, and what their tables are compared by."""
 
-from __future__ import annotations
-
 import copy
 import csv
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from functools import cache
-from typing import TYPE_CHECKING, Any
 
 import pytest
 
-from bbq_torchrl.runs.compose import compose
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Iterator
-    from pathlib import Path
-
-    from bbq_torchrl.options import Config
+from bbq_torchrl.runs.compose import compose, compose_raw, session
+from bbq_torchrl.runs.prepare import final_config, prepare_run
 
 TINY = (
     "protocol.rounds=2",
@@ -40,13 +32,26 @@ TINY = (
 _composed = cache(lambda overrides: compose(overrides))
 
 
-def composed(*overrides: str) -> Config:
+def composed(*overrides):
     """The configuration of a command line, which Hydra composes once in a process."""
     return copy.deepcopy(_composed(overrides))
 
 
+def prepared(*overrides):
+    """The configuration of a run, and Hydra's part with the name of its folder."""
+    with ExitStack() as locks, session():
+        composed = compose_raw(overrides)
+        return prepare_run(composed, locks), composed.hydra
+
+
+def resumed(folder, *overrides):
+    """The configuration that ``train.py resume=<folder>`` trains with."""
+    with session():
+        return final_config(compose_raw([f"resume={folder}", *overrides]), overrides)
+
+
 @contextmanager
-def without_drawing() -> Iterator[None]:
+def without_drawing():
     """Within it curves are empty files, and no scripted policy is played beside the agent.
 
     Either takes as long as a short training.
@@ -58,12 +63,12 @@ def without_drawing() -> Iterator[None]:
         yield
 
 
-def nightly(names: Iterable[Any], daily: Collection[Any]) -> list:
+def nightly(names, daily):
     """Parameters of which all but the daily ones are slow."""
     return [one if one in daily else pytest.param(one, marks=pytest.mark.slow) for one in names]
 
 
-def rows(file: Path) -> list[dict[str, str]]:
+def rows(file):
     """The rows of a table such as metrics.csv, without their times."""
     with file.open(newline="") as stream:
         return [

@@ -55,7 +55,7 @@ def test_any_shape_is_filled_in_place(shape):
 # ------------------------------------------------------------------------- a pool
 
 
-def noise_of(net: BayesMLP, draws: int, pool: NoisePool) -> torch.Tensor:
+def noise_of(net, draws, pool):
     """The noise of some draws, [draws, *replicas, P]: weights of a network with μ = 0, σ = 1."""
     net.posterior.reset_std_(1.0)
     with weight_scope(noise=pool), torch.no_grad():

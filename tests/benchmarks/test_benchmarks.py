@@ -8,13 +8,13 @@ from torch.utils.flop_counter import FlopCounterMode
 from bbq_torchrl.envs import DialogueEnv
 from bbq_torchrl.networks import FlatMLP
 from benchmarks import compare, gpu
-from benchmarks.parts import on_device, processes, time_to_learn, timing, updates
+from benchmarks.parts import on_device, processes, timing, updates
 from benchmarks.parts.floor import PARAMETERS, UPDATES, turn, valid_share
 from benchmarks.parts.host_draws import DrawsOnTheHost
+from benchmarks.parts.host_waits import HostWaitError, NeverWaits
 from benchmarks.parts.processes import Used
 from benchmarks.parts.rows import Row, as_table, keep, read
-from benchmarks.parts.sizes import FULL, TINY
-from benchmarks.parts.time_to_learn import Learned
+from benchmarks.parts.sizes import TINY
 from benchmarks.parts.yardstick import ACTIONS, FEATURES, HIDDEN, bare_update
 
 
@@ -130,39 +130,41 @@ def test_the_floor_counts_what_torch_and_the_simulator_count(movie):
     assert 0 < valid_share(env) <= 1
 
 
-@pytest.mark.parametrize(
-    ("seconds", "measured", "is_bound", "remark"),
-    [
-        ([30, 50, 40, 20, 10], 32, False, "5 of 5 reached it within 25 rounds"),
-        # Those cut off count as longer than all others, however fast their rounds were.
-        ([30, 50, 40, None, None], 52, False, "3 of 5 reached it within 25 rounds"),
-        ([30, 50, None, None, None], 47, True, "2 of 5 reached it within 25 rounds"),
-    ],
-)
-def test_the_median_time_to_learn_says_what_was_cut_off(
-    monkeypatch, seconds, measured, is_bound, remark
-):
-    asked = []
-
-    def train(overrides, rounds):
-        assert rounds == FULL.learning_rounds
-        took = seconds[len(asked) % 5]
-        asked.append(overrides)
-        return Learned(45, False, 25) if took is None else Learned(took, True, 25)
-
-    monkeypatch.setattr(time_to_learn, "train", train)
-    rows = time_to_learn.time_to_learn(FULL)
-    assert [row.what.partition(",")[0] for row in rows] == ["bbqn-map", "dqn"]
-    for row in rows:
-        assert (row.measured, row.is_bound, row.remark) == (measured, is_bound, remark)
-        assert row.reached == (measured <= 60 and not is_bound)
-    assert [overrides[-1] for overrides in asked[:5]] == [f"seed={seed}" for seed in range(5)]
-    assert all("protocol=quick" in overrides for overrides in asked)
-
-
 def test_a_slow_spell_that_hits_both_leaves_the_ratio():
     clock = iter([1.0, 2.0, 1.0, 20.0, 10.0, 20.0, 10.0, 2.0, 1.0])
     result = timing.interleaved(lambda: next(clock), lambda: next(clock), repeats=4)
     # 2 / 1; 20 between 1 and 10; 20 between two of 10; 2 between 10 and 1
     assert result.ratio == pytest.approx((2.0 + 2.0) / 2)
     assert result.seconds == 11.0
+
+
+WAITING = {
+    "a number": lambda x: float(x.sum()),
+    "a condition": lambda x: bool((x > 0).any()),
+    "a mask as an index": lambda x: x[x > 0],
+    "a mask as an index to write to": lambda x: x.clone().__setitem__(x > 0, x[:1]),
+    "places of a mask": lambda x: (x > 0).nonzero(),
+    "rows of a mask": lambda x: torch.masked_select(x, x > 0),
+    "different values": lambda x: x.unique(),
+    "a tensor from a list": lambda x: x + torch.tensor([1.0, 2.0, 3.0]),
+    "a comparison": lambda x: torch.equal(x, x),
+    "another device": lambda x: x.to("meta"),
+}
+NOT_WAITING = {
+    "arithmetic with numbers": lambda x: torch.where(x > 0, 2 * x, 0.0),
+    "an index": lambda x: x[x.argsort()],
+    "filling": lambda x: torch.zeros_like(x).masked_fill_(x > 0, 1.0),
+    "random numbers": lambda x: torch.randperm(3).to(x.dtype) + torch.rand(3),
+}
+
+
+@pytest.mark.parametrize("what", WAITING)
+def test_what_waits_is_refused(what):
+    with NeverWaits(), pytest.raises(HostWaitError):
+        WAITING[what](torch.arange(3.0))
+
+
+@pytest.mark.parametrize("what", NOT_WAITING)
+def test_what_does_not_wait_is_let_through(what):
+    with NeverWaits():
+        NOT_WAITING[what](torch.arange(3.0))

@@ -11,12 +11,12 @@ from bbq_torchrl.utils.extras import needed
 
 
 @pytest.fixture(autouse=True)
-def deaf(monkeypatch: pytest.MonkeyPatch) -> None:
+def deaf(monkeypatch):
     """Signals of the test's own process stay as they are."""
     monkeypatch.setattr(interruption, "listen", lambda: None)
 
 
-def bbq(monkeypatch: pytest.MonkeyPatch, *arguments: str) -> int | None:
+def bbq(monkeypatch, *arguments):
     monkeypatch.setattr(sys, "argv", ["/usr/bin/bbq", *arguments])
     return console.main()
 

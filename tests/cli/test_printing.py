@@ -1,4 +1,4 @@
-"""Output that cannot be printed; tests/adversary/test_full_disk.py has the whole commands."""
+"""Output that cannot be printed."""
 
 import os
 import sys

@@ -42,7 +42,7 @@ def test_a_checkout_is_installed_by_its_folder():
 
 
 @pytest.fixture(scope="module")
-def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def python(tmp_path_factory):
     """The Python of an environment with the wheel, which finds all else where this one does."""
     folder = tmp_path_factory.mktemp("wheel")
     _run([sys.executable, "-m", "pip", "wheel", "-q", "--no-deps", "-w", folder, ROOT], folder)
@@ -58,13 +58,13 @@ def python(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 @pytest.mark.slow
-def test_the_wheel_trains(python: Path, tmp_path: Path):
+def test_the_wheel_trains(python, tmp_path):
     _run([python.with_name("bbq"), "train", *TINY, "agent=dqn", "hydra.run.dir=run"], tmp_path)
     assert json.loads((tmp_path / "run" / "result.json").read_text())["rounds"] == 2
 
 
 @pytest.mark.slow
-def test_the_wheel_says_what_it_is(python: Path, tmp_path: Path):
+def test_the_wheel_says_what_it_is(python, tmp_path):
     said = json.loads(_run([python, "-c", SAYS], tmp_path).splitlines()[-1])
     citation = yaml.safe_load((ROOT / "CITATION.cff").read_text(encoding="utf-8"))
     assert Path(said["file"]).is_relative_to(python.parents[1])
@@ -76,7 +76,7 @@ def test_the_wheel_says_what_it_is(python: Path, tmp_path: Path):
 
 
 @pytest.mark.slow
-def test_the_helps_of_the_wheel_name_what_it_has(python: Path, tmp_path: Path):
+def test_the_helps_of_the_wheel_name_what_it_has(python, tmp_path):
     pages = set()
     for command in COMMANDS:
         said = _run([python.with_name("bbq"), command, "--help"], tmp_path)
@@ -88,7 +88,7 @@ def test_the_helps_of_the_wheel_name_what_it_has(python: Path, tmp_path: Path):
         assert page.is_relative_to(python.parents[1])
 
 
-def _run(command: list[object], folder: Path) -> str:
+def _run(command, folder):
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
     done = subprocess.run(
         [str(word) for word in command],

@@ -10,7 +10,6 @@ from bbq_torchrl.runs.prepare import table_of_runs
 from bbq_torchrl.settings import (
     POSITIVE,
     SEED,
-    Allowed,
     ConfigError,
     check_values,
     integers,
@@ -75,13 +74,13 @@ LISTED = f"{NUMBER} (or a list, one for each replica)"
         (optional(POSITIVE, "never"), f"{NUMBER} or null (never)", [None, 1], [0, "null"]),
     ],
 )
-def test_what_is_allowed_says_so(allowed: Allowed, text, accepted, refused):
+def test_what_is_allowed_says_so(allowed, text, accepted, refused):
     assert allowed.text == text
     assert all(map(allowed.test, accepted))
     assert not any(map(allowed.test, refused))
 
 
-FAULTS = ["[" * 50_000, "a: [", "a: *b", "a: \x00", "a: 1\na: 2", '!!int ""', "!!bool x"]
+FAULTS = ["[" * 5_000, "a: [", "a: *b", "a: \x00", "a: 1\na: 2", '!!int ""', "!!bool x"]
 FAULTS += ["!!timestamp x", "2001-99-99", "!!python/object/apply:os.system [x]", "9" * 5_000]
 
 
@@ -95,8 +94,8 @@ def test_what_cannot_be_values_is_refused_in_a_sentence(text):
 def test_aliases_that_save_some_lines_and_long_texts_are_read():
     shared = "base: &base {lr: 1, hidden: [8, 8]}\none: *base\nother: {<<: *base, lr: 2}\n"
     assert read_yaml(shared)["other"] == {"lr": 2, "hidden": [8, 8]}
-    long = yaml.safe_dump({"values": list(range(20_000))})
-    assert read_yaml(long)["values"][-1] == 19_999
+    long = yaml.safe_dump({"values": list(range(5_000))})
+    assert read_yaml(long)["values"][-1] == 4_999
     assert read_yaml("") is None
 
 

@@ -28,13 +28,6 @@ def test_heads_learn_from_their_share_independently(prob):
         assert (covariance.abs() <= 6 * error).all()
 
 
-@pytest.mark.parametrize("replicas", [(), (1,), (3,), (2, 2)])
-@pytest.mark.parametrize("rows", [(7,), (7, 3), (0,), ()])
-def test_masks_have_the_replicas_the_rows_and_the_heads(replicas, rows):
-    mask = masks(BootstrapMask(4, replicas=replicas), *replicas, *rows)
-    assert mask.shape == (*replicas, *rows, 4)
-
-
 def test_masks_do_not_depend_on_padding_calls_or_the_other_replicas():
     """The n-th valid transition gets the n-th draw of its seed, whatever surrounds it."""
     alone = []

@@ -14,27 +14,27 @@ from bbq_torchrl.data import BootstrapMask, ReplicaReplay
 KEYS = ["observation", ("next", "reward")]
 
 
-def rows(first: int, count: int) -> TensorDict:
+def rows(first, count):
     numbers = torch.arange(first, first + count, dtype=torch.float32).unsqueeze(-1)
     return TensorDict(
         {"observation": numbers, "extra": numbers, "next": {"reward": 100 * numbers}}, [count]
     )
 
 
-def filled(*lengths: int, capacity: int = 2000, transform=None) -> ReplicaReplay:
+def filled(*lengths, capacity=2000, transform=None):
     """A replay whose replica r contains lengths[r] rows, numbered from 10,000 r."""
     replay = ReplicaReplay(capacity, replicas=len(lengths), keys=KEYS, transform=transform)
     replay.extend([rows(10_000 * r, length) for r, length in enumerate(lengths)])
     return replay
 
 
-def stored(replay: ReplicaReplay, replica: int) -> list[int]:
+def stored(replay, replica):
     return replay.buffers[replica][:]["observation"][:, 0].int().tolist()
 
 
-def play_epoch(replay: ReplicaReplay, batch_size: int = 4) -> list[list[int]]:
+def play_epoch(replay, batch_size=4):
     """The numbers each replica sees in an epoch, in order, from 0."""
-    seen: list[list[int]] = [[] for _ in range(replay.replicas)]
+    seen = [[] for _ in range(replay.replicas)]
     for batch in replay.epoch(batch_size):
         for numbers, own in zip(seen, batch.transitions.unbind(0), strict=True):
             numbers += (own["observation"][own["valid"]][:, 0] % 10_000).int().tolist()
@@ -58,7 +58,7 @@ def test_an_epoch_shows_every_transition_once_in_batches_of_one_shape():
         assert torch.equal(transitions["next", "reward"], 100 * transitions["observation"])
 
 
-def numbers_of(replay: ReplicaReplay, batch_size: int, count: int) -> torch.Tensor:
+def numbers_of(replay, batch_size, count):
     """The numbers each replica sees in ``count`` batches, [replicas, count * batch_size]."""
     batches = [batch for part in replay.batches(batch_size, count) for batch in part]
     assert len(batches) == count

@@ -7,7 +7,7 @@ from tensordict import TensorDict
 from bbq_torchrl.data import ReplicaReplay, validate_transitions
 
 
-def transitions() -> TensorDict:
+def transitions():
     """The last one is terminal, and nothing may follow it."""
     false = torch.zeros(3, 1, dtype=torch.bool)
     return TensorDict(

@@ -8,13 +8,13 @@ ROOT = Path(__file__).resolve().parents[2]
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
 
 
-def snippets(page: Path, language: str) -> list[str]:
+def snippets(page, language):
     """Returns the page's fenced code of a language, in order."""
     fence = re.compile(rf"^```{language}\n(.*?)^```", re.DOTALL | re.MULTILINE)
     return fence.findall(page.read_text(encoding="utf-8"))
 
 
-def commands(program: str) -> list[list[str]]:
+def commands(program):
     """Returns the arguments of every documented command line of a program, each once."""
     found = {}
     for page in PAGES:

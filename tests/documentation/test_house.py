@@ -37,6 +37,15 @@ def test_the_picture_has_the_rooms_and_arrows_of_today(tmp_path, monkeypatch):
     assert parts.findall(kept) == drawn, "run python scripts/write_docs.py"
 
 
+def test_the_main_job_is_read_in_twenty_files():
+    _, _, rest = PAGE.partition("### From train.py to the gradient step\n")
+    files = re.findall(r"^\| `(\S+\.py)` \|", rest.partition("\n### ")[0], flags=re.MULTILINE)
+    lines = [(ROOT / file).read_text(encoding="utf-8").count("\n") for file in files]
+    assert files[:2] == ["train.py", "bbq_torchrl/runs/train.py"]
+    assert len(files) <= 20
+    assert sum(lines) <= 3_500
+
+
 def test_no_two_files_import_one_another():
     graph = grimp.build_graph("bbq_torchrl", exclude_type_checking_imports=False)
     # The package offers load_run and train, imported when they are used.

@@ -20,7 +20,7 @@ from .pages import PAGES, ROOT, snippets
 DOCS = ROOT / "docs"
 
 
-def text_of(*names: str) -> str:
+def text_of(*names):
     return ROOT.joinpath(*names).read_text(encoding="utf-8")
 
 
@@ -48,7 +48,7 @@ def test_files_programs_and_stages_that_contributing_names_exist():
     assert {word for arguments in named for word in arguments[1:]} <= stages
 
 
-def anchors(page: Path) -> set[str]:
+def anchors(page):
     """The ids that the site gives to the headings of a page."""
     headings = re.findall(r"^#+ (.*)$", page.read_text(encoding="utf-8"), re.MULTILINE)
     words = (re.sub(r"[^\w\s-]", "", heading).strip().lower() for heading in headings)

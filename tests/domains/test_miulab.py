@@ -55,7 +55,7 @@ def test_a_missing_file_is_named(load, tmp_path, name):
 class Trap:
     """Runs code when an ordinary unpickler loads it."""
 
-    def __init__(self, victim: Path) -> None:
+    def __init__(self, victim):
         self.victim = victim
 
     def __reduce__(self):

@@ -1,7 +1,6 @@
 """The shipped hotels and restaurants: consistent, small, and as hard as the movies."""
 
 import runpy
-from collections import Counter
 from pathlib import Path
 
 import pytest
@@ -54,35 +53,7 @@ def test_domain_extension_adds_every_slot(name):
 SCRIPT = Path(__file__).parents[2] / "scripts" / "make_movie_corpus.py"
 V1 = "user_goals_first_turn_template.part.movie.v1.p"
 
-# The public corpus according to the environment's page; ours is as sparse.
-RECORDS = {
-    "moviename": 0.97,
-    "theater": 0.93,
-    "date": 0.92,
-    "starttime": 0.91,
-    "city": 0.89,
-    "state": 0.62,
-    "zip": 0.33,
-    "other": 0.32,
-    "genre": 0.30,
-    "distanceconstraints": 0.24,
-    "critic_rating": 0.16,
-    "video_format": 0.15,
-    "theater_chain": 0.10,
-    "mpaa_rating": 0.07,
-}
-DISTINCT = {"moviename": 59, "city": 87, "starttime": 211, "theater": 227, "date": 50}
-CONSTRAINTS = {
-    "numberofpeople": 1.0,
-    "moviename": 0.66,
-    "date": 0.63,
-    "city": 0.62,
-    "starttime": 0.47,
-    "theater": 0.36,
-    "state": 0.17,
-    "genre": 0.11,
-}
-REQUESTS = {"theater": 0.64, "starttime": 0.53, "date": 0.37, "moviename": 0.34}
+LISTED = {"moviename", "city", "starttime", "theater", "date"}
 
 
 @pytest.fixture
@@ -91,10 +62,6 @@ def corpus(request):
     if request.param == V1:
         return load_miulab(request.getfixturevalue("tcbot"), goals=V1)
     return request.getfixturevalue(request.param)
-
-
-def share(slot, holders):
-    return sum(slot in holder for holder in holders) / len(holders)
 
 
 def records_for(domain, goal):
@@ -108,34 +75,6 @@ def test_the_shipped_files_are_what_the_script_writes(tmp_path):
     runpy.run_path(str(SCRIPT))["write_corpus"](tmp_path)
     for name in (RECORDS_FILE, GOALS_FILE, VALUES_FILE):
         assert (tmp_path / name).read_bytes() == (SHIPPED["movie"] / name).read_bytes(), name
-
-
-@pytest.mark.parametrize(
-    ("corpus", "records", "error", "goals", "goal_error"),
-    [("movie", 1000, 0.02, 200, 0.03), ("miulab", 991, 0.006, 194, 0.006)],
-    indirect=["corpus"],
-)
-def test_records_and_goals_are_as_described(corpus, records, error, goals, goal_error):
-    assert (len(corpus.records), len(corpus.goals)) == (records, goals)
-    constraints = [goal.constraints for goal in corpus.goals]
-    requests = [goal.requests for goal in corpus.goals]
-    for shares, holders, close in (
-        (RECORDS, corpus.records, error),
-        (CONSTRAINTS, constraints, goal_error),
-        (REQUESTS, requests, goal_error),
-    ):
-        found = {slot: share(slot, holders) for slot in shares}
-        assert found == pytest.approx(shares, abs=close)
-    rest = {slot for record in corpus.records for slot in record} - set(RECORDS)
-    assert all(share(slot, corpus.records) < 0.05 for slot in rest)
-    sizes = Counter(map(len, corpus.records))
-    assert (min(sizes), max(sizes), sizes.most_common(1)[0][0]) == (1, 11, 6)
-    assert sum(map(len, constraints)) / goals == pytest.approx(4.4, abs=0.1)
-    assert sum(map(len, requests)) / goals == pytest.approx(1.9, abs=0.1)
-    spelled, close = (fold, 0.1) if corpus.name == "movie" else (str, 0.025)  # spelled alike
-    values = {s: {spelled(r[s]) for r in corpus.records if s in r} for s in DISTINCT}
-    found = {slot: len(texts) for slot, texts in values.items()}
-    assert found == pytest.approx(DISTINCT, rel=close)
 
 
 @pytest.mark.parametrize(
@@ -156,9 +95,9 @@ def test_value_lists_are_longer_than_what_the_records_have(movie):
     for slot, values in movie.error_values.items():
         used = {fold(record[slot]) for record in movie.records if slot in record}
         assert used <= {fold(text) for text in values}, slot
-        if slot in DISTINCT:
+        if slot in LISTED:
             assert len(values) > len(used), slot
-    assert {"numberofpeople", *DISTINCT} <= movie.error_values.keys()
+    assert {"numberofpeople", *LISTED} <= movie.error_values.keys()
 
 
 def test_the_public_corpus_is_played_with_our_acts_slots_and_actions(miulab, movie, tcbot):

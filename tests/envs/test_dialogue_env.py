@@ -89,16 +89,6 @@ def test_the_seed_decides_everything_but_the_policy(restaurant):
     assert (one == rollout(env)).all()
 
 
-def test_without_a_seed_torch_manual_seed_decides(restaurant):
-    goals = []
-    for seed in (1, None, 1):
-        if seed is not None:
-            torch.manual_seed(seed)
-        goals.append(DialogueEnv(restaurant, batch_size=(8,)).reset()["goal_id"])
-    assert torch.equal(goals[0], goals[2])
-    assert not torch.equal(goals[0], goals[1])
-
-
 @pytest.mark.parametrize("channel", [lambda _: None, load_errors], ids=["acts", "measured"])
 def test_dialogues_do_not_depend_on_the_default_dtype(movie, channel):
     def rollout():

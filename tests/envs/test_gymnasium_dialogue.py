@@ -141,16 +141,6 @@ def test_torchrls_gymenv_finds_the_mask(restaurant, schedule):
         assert not (played["action"].bool() & ~legal).any()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("several", [{}, {"num_envs": 2}], ids=str)
-def test_torchrls_gymenv_reads_info(several):
-    env = GymEnv(f"bbq_torchrl.envs.gymnasium:{ENV_ID}", max_turn=12, **several)
-    env = env if several else env.auto_register_info_dict()  # of several it does so by itself
-    played = env.rollout(4, break_when_any_done=False)
-    assert {"success", "turns", "goal_id"} <= set(played["next"].keys())
-    assert played["next", "turns"].flatten()[0] == 1
-
-
 def test_the_mask_in_the_observation_is_that_in_info(restaurant):
     env = gymnasium.make(ENV_ID, domain=restaurant, mask_in_observation=True).unwrapped
     check_env(env)

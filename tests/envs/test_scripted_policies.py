@@ -13,7 +13,6 @@ from bbq_torchrl.envs import (
     ClairvoyantPolicy,
     DialogueEnv,
     ExtensionSchedule,
-    SequencePolicy,
     UniformPolicy,
     scripted_policy,
 )
@@ -37,11 +36,6 @@ def test_the_rule_policy_plays_its_script_whatever_the_user_says(movie):
     env = DialogueEnv(movie, batch_size=(20,), seed=0, slot_error_prob=0.3)
     script = list(movie.policies["rule"].steps)
     assert played(env, scripted_policy("rule", env)) == [script] * 20
-
-
-def test_a_script_repeats_its_last_action():
-    td = TensorDict({"turns": torch.tensor([[0], [1], [2], [7]])}, batch_size=[4])
-    assert SequencePolicy([3, 5])(td)["action"].tolist() == [3, 5, 5, 5]
 
 
 def test_the_random_policy_plays_every_legal_action_alike():

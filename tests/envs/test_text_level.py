@@ -99,15 +99,6 @@ def test_who_is_understood_by_the_letter_is_seen_as_at_the_level_of_acts(name, r
     assert int(state["turn"].max()) > 10
 
 
-def test_a_sentence_is_not_understood_twice_in_one_context(movie):
-    channel, letters = channel_of(movie)
-    for _ in range(2):  # the second time it repeats itself
-        torch.manual_seed(0)
-        list(played(movie, channel, turns=3))
-        said = [*letters.said]
-        assert len(said) == len(set(said))
-
-
 def test_what_is_not_heard_is_not_held_but_stays_what_the_user_wants(movie):
     channel, _ = channel_of(movie, forgets=("moviename", "theater"))
     movie_, theater = movie.slots.index("moviename"), movie.slots.index("theater")

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 from hypothesis.extra.numpy import arrays
-from scipy import integrate, stats
+from scipy import stats
 
-from bbq_torchrl.evaluation.curves import Reach, areas, booked, rounds_to_reach
+from bbq_torchrl.evaluation.curves import Reach, rounds_to_reach
 from bbq_torchrl.evaluation.groups import pair, read_groups
 
 curves = arrays(float, st.tuples(st.integers(1, 20), st.integers(1, 4)), elements=st.floats(0, 1))
@@ -25,14 +25,6 @@ def test_a_level_is_reached_in_the_first_round_whose_last_rounds_mean_it(success
         }
         reached = [end for end, mean in means.items() if mean >= level - 1e-9]
         assert rounds == (reached[0] if reached else INF)
-
-
-@given(arrays(int, st.tuples(st.integers(1, 20), st.integers(1, 4)), elements=st.integers(0, 10)))
-def test_the_first_dialogues_booked_are_counted_one_by_one(successes):
-    for first in (10, 40, 120):
-        found = booked(successes / 10, dialogues=10, first=first)
-        counts = successes[: first // 10].sum(0) / first
-        assert found == (pytest.approx(counts) if len(successes) * 10 >= first else [])
 
 
 def test_early_success_is_compared_by_pairs_where_both_trained_for_as_long(add):
@@ -73,15 +65,6 @@ def test_the_median_is_when_half_of_the_seeds_had_reached_it(dialogues, median, 
 def test_a_group_reaches_a_level_in_dialogues(add):
     (group,) = read_groups([add([0.8, 1.0, 1.0], rounds=6)])
     assert group.reach(0.5).dialogues == (INF, 250, 250)
-
-
-@given(curves)
-def test_area_of_a_whole_curve_is_the_integral_over_its_length(curve):
-    found = areas(curve)
-    rounds, seeds = curve.shape
-    assert len(found) == seeds
-    expected = integrate.trapezoid(curve, axis=0) / (rounds - 1) if rounds > 1 else curve[0]
-    assert found == pytest.approx(expected.tolist())
 
 
 def test_seeds_evaluated_in_different_rounds_have_those_in_common(add):

@@ -57,13 +57,6 @@ def labels(figure):
     return [text.get_text() for legend in figure.legends for text in legend.get_texts()]
 
 
-@pytest.mark.parametrize("window", [3, 50])
-def test_a_moving_average_is_over_the_last_rounds(window):
-    values = np.random.default_rng(0).uniform(size=(20, 2))
-    expected = [values[max(0, n - window + 1) : n + 1].mean(0) for n in range(20)]
-    assert moving_average(values, window) == pytest.approx(np.array(expected))
-
-
 def test_a_run_is_drawn_with_its_replicas_mean_evaluation_spike_and_extensions(draw):
     run = group(3)
     figure = draw(
@@ -110,22 +103,6 @@ def test_evaluations_are_the_main_line_with_training_success_behind_it(draw):
         "training, with exploration (mean of 10 rounds)",
         "DQN (3 seeds, evaluated)",
     ]
-
-
-def test_each_group_has_a_color_and_a_place_in_the_legend(draw):
-    names = [f"DQN, explore.temperature_init={n}, explore.temperature_end={n}" for n in range(20)]
-    figure = draw(*(group(1, label=name) for name in names))
-
-    (legend,), (axes,) = figure.legends, figure.axes
-    figure.draw_without_rendering()  # a text's size in inches depends on the dots per inch
-    assert labels(figure) == [f"{name} (1 seed, mean of 10 rounds), final 0.400" for name in names]
-    assert len({str(line.get_color()) for line in axes.get_lines()}) == 20
-    box, curves = legend.get_window_extent(), axes.get_tightbbox()
-    assert (box.min >= 0).all()
-    assert (box.max <= figure.bbox.max).all()
-    assert box.y1 <= curves.y0
-    assert curves.y1 <= figure.bbox.y1
-    assert curves.height > 3 * figure.dpi
 
 
 def test_a_comparison_has_a_band_for_five_seeds_and_none_for_fewer():

@@ -94,23 +94,6 @@ def test_target_and_loss_are_the_librarys(example, nets):
     assert found.item() == pytest.approx(expected, rel=1e-4)
 
 
-def test_learning_brings_values_to_their_targets(example, monkeypatch):
-    for name, value in {"FREEZES": 1, "EPOCHS": 200}.items():
-        monkeypatch.setitem(example["learn"].__globals__, name, value)
-    net, data = example["BayesQNetwork"](FEATURES, ACTIONS), transitions((), (64,))
-    data["next", "reward"] *= 40  # as far apart as success and failure are
-    targets = example["targets_of"](net, data)
-
-    def error():
-        values = net(data["observation"], "mean").gather(-1, data["action"].unsqueeze(-1))
-        return (values.squeeze(-1) - targets).square().mean().item()
-
-    before = error()
-    optimizer = torch.optim.Adam(net.parameters(), example["LEARNING_RATE"])
-    example["learn"](net, optimizer, data)
-    assert error() < before / 2
-
-
 def test_the_numbers_are_those_of_the_quick_protocol(example):
     config = compose(["+experiment=agents/bbqn_map", "env=full", "protocol=quick"])
     agent, protocol = config.agent, config.protocol

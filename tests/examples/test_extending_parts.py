@@ -9,7 +9,7 @@ from q_transitions import ACTIONS, FEATURES, transitions
 from tensordict import TensorDict
 from torch import nn
 from torchrl.data import Categorical
-from torchrl.envs.utils import ExplorationType, check_env_specs, set_exploration_type
+from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.objectives import HardUpdate
 
 from bbq_torchrl.bayes import BayesMLP, weight_scope
@@ -29,17 +29,6 @@ def test_the_example_in_a_docstring_is_true(name):
     result = doctest.testmod(module, optionflags=doctest.ELLIPSIS)
     assert result.attempted > 2
     assert result.failed == 0
-
-
-def test_the_chain_keeps_torchrls_conventions():
-    from bbq_extending.chain_env import ChainEnv
-
-    env = ChainEnv(4, batch_size=(2, 3))
-    check_env_specs(env)
-    left = env.rollout(13, lambda td: td.set("action", torch.zeros(2, 3, dtype=torch.int64)))
-    assert left["next", "reward"].sum(-2).flatten().tolist() == pytest.approx([0.013] * 6)
-    assert not left["next", "success"].any()
-    assert left["next", "done"].squeeze(-1).sum(-1).tolist() == [[1] * 3] * 2
 
 
 def test_the_upper_bound_is_the_mean_without_a_coefficient_and_prefers_spread_with_one():
@@ -173,19 +162,3 @@ def test_an_index_is_the_same_in_a_value_and_its_target(epinet, index_actor):
     following = epinet(batch["next", "observation"], index).amax(-1, keepdim=True)
     target = batch["next", "reward"] + 0.5 * following * ~batch["next", "terminated"]
     torch.testing.assert_close(found, (value - target).square().mean((1, 2)))
-
-
-def test_a_state_is_worth_less_each_time_that_it_is_stored():
-    from bbq_extending.visit_reward import VisitReward
-
-    transform = VisitReward(3, replicas=2, eta=torch.tensor([1.0, 0.5]))
-    state = torch.eye(3).expand(2, 3, 3)
-    rows = TensorDict({"next": {"observation": state, "reward": torch.ones(2, 3, 1)}}, [2, 3])
-    rows["valid"] = torch.tensor([[True, True, True], [True, False, False]])
-    stored = transform.inv(rows)
-    assert transform.pop_metrics()["states_seen"].tolist() == [3, 1]
-    assert transform(stored)["next", "reward"][:, 0].flatten().tolist() == [2.0, 1.5]
-    for _ in range(3):
-        stored = transform.inv(rows)
-    assert transform(stored)["next", "reward"][:, 0].flatten().tolist() == [1.5, 1.25]
-    assert (rows["next", "reward"] == 1).all()

@@ -8,7 +8,7 @@ import forked
 import pytest
 import torch
 from extended import EXAMPLES, ROOT
-from tiny import rows
+from tiny import TINY, rows
 
 from bbq_torchrl.evaluation.curves import read_metrics
 from bbq_torchrl.runs.compose import compose
@@ -46,19 +46,6 @@ def test_cartpole_is_played_without_anything_of_dialogue(tmp_path, name, frames,
     line = re.fullmatch(said, out.splitlines()[-1])
     assert line is not None, out
     assert 1 <= float(line[1]) <= 500
-
-
-def test_cartpole_adds_a_row_for_every_training(names_of, tmp_path, monkeypatch):
-    pytest.importorskip("gymnasium")
-    example, file = names_of("cartpole_bbqn"), tmp_path / "cartpole.csv"
-    trained = example["main"].__globals__
-    monkeypatch.setitem(trained, "train", lambda agent, frames, seed: frames / 100 + seed)
-    for seed in "12":
-        options = ["--agent=dqn", f"--seed={seed}", "--frames=500", f"--file={file}"]
-        monkeypatch.setattr(sys, "argv", ["cartpole_bbqn.py", *options])
-        example["main"]()
-    lines = [tuple(line.values()) for line in rows(file)]
-    assert lines == [("dqn", "1", "500", "6.0"), ("dqn", "2", "500", "7.0")]
 
 
 def test_regression_saves_a_figure(tmp_path):
@@ -131,18 +118,7 @@ def test_the_notebook_runs_from_top_to_bottom(notebook, monkeypatch, tmp_path):
     assert "policy: mean - rollout of batch size [1, 5, 20]" in said
 
 
-TINY = (
-    "replicas=2",
-    "agent.hidden=[16]",
-    "protocol.rounds=2",
-    "protocol.dialogues=6",
-    "protocol.epochs=1",
-    "protocol.eval_every=1",
-    "protocol.eval_every_dialogues=20",
-    "protocol.batch_size=256",
-    "spike.dialogues=20",
-    "domain=hotel",
-)
+TANDEM = (*TINY, "replicas=2")
 
 
 @pytest.fixture
@@ -159,10 +135,10 @@ def same_weights(trainer, weights):
 
 @pytest.mark.slow
 def test_the_active_agents_rounds_are_those_of_an_ordinary_run(example, tmp_path):
-    trainers = example["make_trainers"]("bbqn_map", "dqn", TINY, tmp_path)
+    trainers = example["make_trainers"]("bbqn_map", "dqn", TANDEM, tmp_path)
     rows = [row for part in example["tandem"](*trainers) for row in part]
     protocol = example["PROTOCOL"]
-    config = compose([f"+experiment=[agents/bbqn_map,{protocol}]", *TINY])
+    config = compose([f"+experiment=[agents/bbqn_map,{protocol}]", *TANDEM])
     alone = build_trainer(config, tmp_path / "alone")[0].train()
     watched = read_metrics(tmp_path / "active")
     for name in ("loss", "reward", "eval_success_rate"):
@@ -174,7 +150,7 @@ def test_the_active_agents_rounds_are_those_of_an_ordinary_run(example, tmp_path
 
 @pytest.mark.slow
 def test_an_agent_in_tandem_with_itself_learns_what_the_active_one_does(example, tmp_path):
-    active, passive = example["make_trainers"]("dqn", "dqn", TINY, tmp_path)
+    active, passive = example["make_trainers"]("dqn", "dqn", TANDEM, tmp_path)
     begun = copy.deepcopy(active.learner.loss.state_dict())
     for played in example["tandem"](active, passive):
         rates = {
@@ -188,7 +164,7 @@ def test_an_agent_in_tandem_with_itself_learns_what_the_active_one_does(example,
 @pytest.mark.slow
 def test_the_file_has_a_line_for_each_agent_evaluation_and_replica(example, tmp_path, monkeypatch):
     file = tmp_path / "tandem.csv"
-    monkeypatch.setattr(sys, "argv", ["tandem.py", f"--file={file}", *TINY, "protocol.rounds=1"])
+    monkeypatch.setattr(sys, "argv", ["tandem.py", f"--file={file}", *TANDEM, "protocol.rounds=1"])
     example["main"]()
     lines = rows(file)
     assert [(line["agent"], line["rounds"], line["replica"]) for line in lines] == [

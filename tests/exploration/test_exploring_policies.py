@@ -104,14 +104,6 @@ def test_dropout_is_off_under_every_exploration_type(policy, exploration):
     torch.testing.assert_close(values(policy(actor), td, exploration), expected)
 
 
-def test_draws_are_the_papers_by_default():
-    actor = bayes_actor()
-    assert ThompsonSampling(actor).per == "step"
-    assert not ThompsonSampling(actor).shared
-    assert not ThompsonSampling(actor, per="episode").shared
-    assert ThompsonSampling(actor, per="round").shared
-
-
 BAYES, PLAIN = bayes_actor(), q_actor(FlatMLP(FEATURES, ACTIONS), SPEC)
 NET = PLAIN[0].module
 

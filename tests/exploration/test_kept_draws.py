@@ -6,7 +6,6 @@ import pytest
 import torch
 from q_actor import bayes_actor, heads_actor, noisy_actor, observations, values
 from tensordict import TensorDict
-from torch import nn
 from torchrl.envs.utils import ExplorationType
 
 from bbq_torchrl.bayes import weight_scope
@@ -188,7 +187,7 @@ POLICIES = {
 made = pytest.mark.parametrize(("make", "wrap"), POLICIES.values(), ids=POLICIES)
 
 
-def weights(module: nn.Module) -> TensorDict:
+def weights(module):
     """Copies of a module's weights by name."""
     return TensorDict.from_module(module).data.clone()
 

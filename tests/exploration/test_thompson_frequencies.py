@@ -13,9 +13,12 @@ from torchrl.data import Categorical
 from bbq_torchrl.bayes import BayesLayer, BayesLinear
 from bbq_torchrl.exploration import ThompsonSampling
 from bbq_torchrl.networks import q_actor
+from bbq_torchrl.options import Task
+from bbq_torchrl.options.explore import ThompsonBoltzmann
 
 FEATURES, ACTIONS, DRAWS = 4, 5, 4000
 LEAST_P = 1e-6
+COUNT = 20_000
 # Many draws of one posterior: as rows with separate draws or, if a batch shares a draw, as replicas
 # of equal networks.
 WAYS = [("step", False), ("step", True), ("episode", False), ("round", False), ("round", True)]
@@ -93,3 +96,34 @@ def test_a_linear_networks_action_is_taken_as_often_as_it_is_the_best(kind, per,
     assert not taken[~mask].any()
     taken, expected = without_rare(taken[mask].tolist(), [DRAWS * p for p in expected])
     assert stats.chisquare(taken, expected, sum_check=False).pvalue > LEAST_P
+
+
+def softened(std, temperature):
+    """The actor of a posterior, and ``explore=thompson_boltzmann`` on it."""
+    torch.manual_seed(0)
+    spec = Categorical(4)
+    actor = q_actor(BayesLinear(2, 4, std_init=std), spec, action_mask_key="mask")
+    task = Task(2, spec, replicas=1, rounds=10, device=torch.device("cpu"), action_mask_key="mask")
+    chosen = ThompsonBoltzmann(temperature_init=temperature, temperature_end=temperature)
+    policy, metrics = chosen.make(actor, actor, task)
+    assert metrics["temperature"]() == pytest.approx(temperature)
+    td = TensorDict(observation=torch.ones(COUNT, 2), batch_size=[COUNT])
+    td["mask"] = torch.tensor([True, True, True, False]).expand(COUNT, -1)
+    return actor, policy, td
+
+
+def test_without_spread_thompson_boltzmann_is_boltzmann_of_the_mean():
+    actor, policy, td = softened(std=1e-9, temperature=0.5)
+    values = actor(td[:1].clone())["action_value"][0, :3].double()
+    expected = COUNT * (values / 0.5).softmax(-1)
+    counts = policy(td)["action"].bincount(minlength=4)
+    assert counts[3] == 0  # the masked one
+    assert stats.chisquare(counts[:3], expected.detach()).pvalue > LEAST_P
+
+
+def test_at_a_low_temperature_thompson_boltzmann_is_thompson_sampling():
+    _, policy, td = softened(std=0.5, temperature=1e-6)
+    acted = policy(td)
+    values = acted["action_value"].where(acted["mask"], float("-inf"))
+    assert torch.equal(acted["action"], values.argmax(-1))
+    assert len(acted["action"].unique()) == 3

@@ -136,8 +136,3 @@ def test_every_head_of_every_replica_starts_with_separate_weights():
     assert torch.unique(heads, dim=0).shape[0] == 2 * 3 * HEADS
     trunks = torch.cat([net.trunk.detach(), net.prior_trunk])
     assert torch.unique(trunks, dim=0).shape[0] == 6
-
-
-def test_without_a_prior_or_a_trunk_there_is_no_memory_for_one():
-    assert set(make().state_dict()) == {"trunk", "heads"}
-    assert set(make(trunk_layers=0).state_dict()) == {"heads"}

@@ -3,8 +3,7 @@
 import pytest
 import q_transitions
 import torch
-from dynamics_losses import result
-from q_transitions import ACTIONS, away
+from q_transitions import ACTIONS, away, result
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
 from torchrl.data import Categorical

@@ -5,8 +5,16 @@ from copy import deepcopy
 
 import pytest
 import torch
-from dynamics_losses import gradients, result
-from q_transitions import bayes_loss, flat, heads_loss, noisy_loss, plain_loss, transitions
+from q_transitions import (
+    bayes_loss,
+    flat,
+    gradients,
+    heads_loss,
+    noisy_loss,
+    plain_loss,
+    result,
+    transitions,
+)
 
 # ------------------------------------------------------------------------- frozen values
 

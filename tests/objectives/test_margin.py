@@ -2,8 +2,7 @@
 
 import pytest
 import torch
-from dynamics_losses import result
-from q_transitions import heads_loss, plain_loss, transitions
+from q_transitions import heads_loss, plain_loss, result, transitions
 
 from bbq_torchrl.data import ReplicaReplay
 

@@ -70,17 +70,6 @@ def test_a_batch_that_lacks_an_entry_or_has_one_of_another_shape(make, key, spoi
         loss(td)
 
 
-@pytest.mark.parametrize("dtype", [torch.uint8, torch.int32])
-def test_an_action_of_any_integer_dtype_is_learned_from(dtype):
-    found = []
-    for kind in (dtype, torch.int64):
-        torch.manual_seed(0)
-        td = transitions((2,))
-        td["action"] = td["action"].to(kind)
-        found.append(plain_loss((2,))[0](td)["loss"])
-    assert torch.equal(*found)
-
-
 @pytest.mark.parametrize("shape", [(2, 32, HEADS + 1), (2, 32), (2, 31, HEADS)])
 def test_a_mask_of_other_heads(shape):
     td = transitions((2,)).auto_batch_size_(1)

@@ -1,12 +1,8 @@
 """TorchRL's conventions for losses: keys, dispatch, functional parameters, copies."""
 
-from functools import partial
-
 import pytest
 import torch
-from dynamics_losses import COPIES, result
-from q_transitions import bayes_loss, noisy_loss, plain_loss, transitions
-from torch.utils.checkpoint import checkpoint
+from q_transitions import COPIES, result, transitions
 from torchrl.data import MultiStep
 from torchrl.objectives.utils import ValueEstimators
 
@@ -119,13 +115,3 @@ def test_parameters_can_be_reset(make):
     before = [p.detach().clone() for p in loss.parameters()]
     loss.reset_parameters_recursive()
     assert not any(map(torch.equal, loss.parameters(), before))
-
-
-@pytest.mark.parametrize("make", [bayes_loss, partial(plain_loss, dropout=0.3), noisy_loss])
-def test_activation_checkpointing_leaves_the_gradients_unchanged(make):
-    (loss, _), td, found = make(), transitions(), []
-    for call in (lambda run: run(), partial(checkpoint, use_reentrant=False)):
-        torch.manual_seed(0)
-        out = call(lambda: loss(td)["loss"])
-        found.append(torch.autograd.grad(out, list(loss.parameters())))
-    assert all(map(torch.equal, *found))

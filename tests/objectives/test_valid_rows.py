@@ -2,8 +2,7 @@
 
 import pytest
 import torch
-from dynamics_losses import gradients, result
-from q_transitions import transitions
+from q_transitions import gradients, result, transitions
 
 
 def everything(loss, td):

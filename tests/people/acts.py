@@ -1,7 +1,5 @@
 """A person who types acts instead of sentences."""
 
-from __future__ import annotations
-
 from bbq_torchrl.people.language import MAX_CHARACTERS, Frame, TextError, Unclear, Understood
 
 HOSTILE = [

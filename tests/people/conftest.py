@@ -1,7 +1,5 @@
 """Tiny trained runs, and partners to talk with."""
 
-from __future__ import annotations
-
 import os
 
 import pytest

@@ -1,7 +1,5 @@
 """Readings of a sentence, made by hand."""
 
-from __future__ import annotations
-
 import torch
 
 from bbq_torchrl.people.language.asking import OPENING

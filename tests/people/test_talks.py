@@ -1,7 +1,5 @@
 """The people of scripts/measure_talks.py, and what is counted of their conversations."""
 
-from __future__ import annotations
-
 import pytest
 from acts import Acts
 

@@ -3,7 +3,6 @@
 import json
 import logging
 import pickle
-import re
 import shutil
 from dataclasses import replace
 
@@ -13,17 +12,10 @@ from tiny import TINY
 from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.runs import final
-from bbq_torchrl.runs.build import check_resources, find_spike_policy, make_domain
+from bbq_torchrl.runs.build import find_spike_policy, make_domain
 from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.runs.train import build_trainer, run
+from bbq_torchrl.runs.train import run
 from bbq_torchrl.settings import ConfigError
-from bbq_torchrl.utils.extras import install_command
-
-
-def test_a_logger_whose_package_is_missing_is_refused_with_the_way_to_it(monkeypatch):
-    monkeypatch.setattr("importlib.util.find_spec", lambda name, package=None: None)
-    with pytest.raises(ConfigError, match=re.escape(install_command("mlflow"))):
-        check_resources(compose(["logger=mlflow"]))
 
 
 @pytest.fixture
@@ -88,41 +80,9 @@ def test_a_domain_none_of_whose_scripts_succeeds_is_refused_with_the_way_out(nev
     assert spiking(compose([*where, "spike=none"])) is None
 
 
-def test_a_script_that_never_succeeds_spikes_where_it_is_chosen(never, tmp_path, caplog):
-    where = never("rule", rest="  careful: {kind: careful, steps: [cuisine]}\n")
-    chosen = [*SHORT, *where, "protocol.rounds=1", "spike.dialogues=5", "spike.policy=rule"]
-    run(compose(chosen), tmp_path / "run")
-    assert any("replica 0 succeeds" in message for message in caplog.messages)
-
-
 def test_a_script_of_a_later_round_is_passed_over(where):
     config = compose([*where, "env=domain_ext"])
     assert spiking(config) == "careful"
-
-
-@pytest.mark.parametrize("domain", ["movie", "miulab"])
-def test_the_public_domains_are_spiked_by_their_rule(domain, request):
-    of = [f"domain={domain}"]
-    if domain == "miulab":
-        of.append(f"domain.path={request.getfixturevalue('tcbot')}")
-    assert spiking(compose(of)) == "rule"
-
-
-@pytest.mark.parametrize(
-    ("policy", "env"),
-    [
-        pytest.param("careful_essential", "full", marks=pytest.mark.slow),
-        ("repair", "domain_ext"),
-    ],
-)
-def test_a_policy_that_repairs_fills_the_buffers_with_successes(policy, env, tmp_path):
-    longer = ("domain=movie", "env.max_turn=40", "protocol.capacity=800", "spike.dialogues=30")
-    config = compose([*TINY, *longer, f"env={env}", f"spike.policy={policy}", "replicas=2"])
-    trainer, _ = build_trainer(config, tmp_path)
-    trainer.begin()
-    for buffer in trainer.replay.buffers:
-        assert int(buffer[:]["next", "done"].sum()) == 30
-        assert (buffer[:]["next", "reward"] == 40.0).sum() > 12
 
 
 @pytest.fixture
@@ -145,49 +105,26 @@ def test_results_and_curves_bear_the_name_of_domain_yaml(played, restaurant_fold
     assert [title.endswith("domain=restaurant") for title in titles] == [True]
 
 
-def test_a_result_says_what_of_a_corpus_was_left_out(played, tcbot, tmp_path_factory, caplog):
-    corpus = tmp_path_factory.mktemp("corpus")
-    for name in ("movie_kb.1k.p", "dicts.v3.p"):
-        shutil.copyfile(tcbot / name, corpus / name)
-    goal = {"diaact": "request", "inform_slots": {"city": "seattle"}, "request_slots": {}}
-    both = goal | {"request_slots": {"city": "UNK"}}
-    (corpus / "goals.p").write_bytes(pickle.dumps([both, goal, both], 0))
-    with caplog.at_level(logging.WARNING):
-        result, _ = played("domain=miulab", f"domain.path={corpus}", "domain.goals=goals.p")
-    (text,) = result.skipped
-    assert text.startswith("goals.p, goals 0, 2: ")
-    assert any(text in told for told in caplog.messages)
-
-
-def test_whoever_trains_or_evaluates_is_told_of_values_that_never_match(
+def test_what_of_a_corpus_is_left_out_or_never_matches_is_told(
     played, tmp_path_factory, caplog, capsys
 ):
     corpus = tmp_path_factory.mktemp("corpus")
     goal = {"diaact": "request", "inform_slots": {"city": "seattle"}, "request_slots": {}}
+    both = goal | {"request_slots": {"city": "UNK"}}
     for name, content in (
-        ("user_goals_first_turn_template.v2.p", [goal]),
+        ("goals.p", [both, goal, both]),
         ("movie_kb.1k.p", {0: {"city": "seattle "}, 1: {"city": "boston"}}),
         ("dicts.v3.p", {"city": ["seattle", "boston"]}),
     ):
         (corpus / name).write_bytes(pickle.dumps(content, 0))
-    of = ["domain=miulab", f"domain.path={corpus}"]
+    of = ["domain=miulab", f"domain.path={corpus}", "domain.goals=goals.p"]
     with caplog.at_level(logging.WARNING):
         result, _ = played(*of)
+    (text,) = result.skipped
+    assert text.startswith("goals.p, goals 0, 2: ")
     doubt = "city = 'seattle ', which never matches 'seattle'"
-    assert result.skipped == ()
-    assert any("movie_kb.1k.p, row 0: " in text and doubt in text for text in caplog.messages)
+    for parts in ([text], ["movie_kb.1k.p, row 0: ", doubt]):
+        assert any(all(part in told for part in parts) for told in caplog.messages)
     assert evaluate.main(["policy=rule", "dialogues=10", *of]) == 0
     (told,) = json.loads(capsys.readouterr().out)["doubts"]
     assert doubt in told
-
-
-def test_the_public_corpus_is_evaluated_with_files_and_difficulty_of_choice(capsys, tcbot):
-    goals = "user_goals_first_turn_template.part.movie.v1.p"
-    corpus = f"domain=miulab domain.path={tcbot} domain.kb=movie_kb.1k.p domain.goals={goals}"
-    errors = "env.slot_error_prob=.05 env.slot_error_mode=value env.intent_error_prob=0"
-    arguments = f"policy=careful dialogues=40 batch=16 env.max_turn=40 {corpus} {errors}".split()
-    assert evaluate.main(arguments) == 0
-    answer = json.loads(capsys.readouterr().out)
-    assert (answer["domain"], answer["dialogues"]) == ("miulab", 40)
-    # The scripted policy succeeds in about two thirds of the dialogues at this difficulty.
-    assert answer["success_rate"] > 0.2

@@ -7,9 +7,9 @@ import signal
 import subprocess
 import sys
 
+import forked
 import pytest
 import torch
-from forked import environment
 from tiny import composed, nightly, rows, without_drawing
 
 from bbq_torchrl.runs.folders import is_finished, load_config
@@ -195,7 +195,7 @@ worker.join()
 
 def test_a_worker_ends_when_its_parent_is_killed():
     parent = subprocess.Popen(
-        [sys.executable, "-c", ORPHAN], env=environment(), stdout=subprocess.PIPE, text=True
+        [sys.executable, "-c", ORPHAN], env=forked.environment(), stdout=subprocess.PIPE, text=True
     )
     assert parent.stdout.readline() == "begun\n"
 
@@ -203,3 +203,26 @@ def test_a_worker_ends_when_its_parent_is_killed():
     rest, _ = parent.communicate()  # until the worker cannot write any more
 
     assert rest == ""
+
+
+SWEEP = """
+import os, signal, time
+
+from joblib.externals.loky.backend import get_context
+
+from bbq_torchrl.utils import interruption
+
+if __name__ == "__main__":
+    worker = get_context("loky").Process(target=time.sleep, args=(600,))
+    worker.start()
+    interruption.listen()
+    interruption.tell(lambda: "in a test", lambda: "it is over")
+    os.kill(os.getpid(), signal.SIGTERM)
+"""
+
+
+def test_workers_of_joblib_end_with_a_command_that_a_signal_ends_at_once(tmp_path):
+    (tmp_path / "sweep.py").write_text(SWEEP)
+    # The worker has the same stdout, which is at its end only once the worker is gone.
+    _, err = forked.python("sweep.py", cwd=tmp_path, code=143)
+    assert err == "interrupted in a test: it is over\n"

@@ -1,9 +1,6 @@
 """The table at the end of a sweep."""
 
-from __future__ import annotations
-
 from functools import cache
-from typing import TYPE_CHECKING
 
 import pytest
 import yaml
@@ -14,20 +11,13 @@ from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.folders import save_config
 from bbq_torchrl.runs.prepare import has_failed, table_of_runs
 
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from bbq_torchrl.options import Config
-
 
 @cache
-def five_rounds() -> Config:
+def five_rounds():
     return compose(["protocol.rounds=5"])
 
 
-def make_run(
-    folder: Path, overrides: list[str], rate: float | None = None, rounds: int = 5
-) -> None:
+def make_run(folder, overrides, rate=None, rounds=5):
     (folder / ".hydra").mkdir(parents=True)
     (folder / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump(overrides))
     save_config(five_rounds(), folder / "config.yaml")
@@ -36,7 +26,7 @@ def make_run(
         (folder / "curve.png").touch()
 
 
-def cells(line: str) -> list[str]:
+def cells(line):
     return [cell.strip() for cell in line.split("  ") if cell]
 
 

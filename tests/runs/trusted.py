@@ -1,6 +1,6 @@
 """Tiny runs whose folders are damaged, copied and gone on with."""
 
-import prepared
+import tiny
 from tiny import TINY
 
 from bbq_torchrl.runs.train import run
@@ -29,4 +29,4 @@ def state_of(folder):
 
 def resumed(folder, *overrides):
     """Goes on with a run as ``train.py resume=<folder>`` does, in this process."""
-    return run(prepared.resumed(folder, *overrides), folder)
+    return run(tiny.resumed(folder, *overrides), folder)

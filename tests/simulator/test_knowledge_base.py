@@ -12,7 +12,6 @@ from oracle.values import DONT_CARE, NO_MATCH
 from bbq_torchrl.domains import Goal, tensorize
 from bbq_torchrl.domains.frames import Coding
 from bbq_torchrl.simulator import KnowledgeBase
-from bbq_torchrl.simulator.knowledge_base import byte_counts, pack, popcount
 
 INFORMED = SLOTS[:5]
 N_VALUES = {"moviename": 3, "city": 4, "date": 12, "theater": 20, "genre": 1, "numberofpeople": 3}
@@ -56,15 +55,6 @@ def test_look_ups_are_those_of_the_oracle(drawn, slot):
     value = knowledge_base.most_frequent(counts, index)
     first = plain.in_order(slot, best)[0] if best else NO_MATCH
     assert tensors.vocabulary[index][value] == first
-
-
-@given(st.lists(st.booleans(), min_size=1, max_size=200))
-def test_packed_sets_count_their_members(members):
-    words = pack(torch.tensor(members))
-    assert words.shape == (-(-len(members) // 64),)
-    assert int(popcount(words)) == sum(members)
-    by_byte = [sum(members[start : start + 8]) for start in range(0, len(members), 8)]
-    assert byte_counts(words)[: len(by_byte)].tolist() == by_byte
 
 
 def test_memory_grows_with_the_records_and_not_with_their_square(movie):

@@ -4,7 +4,7 @@ import pytest
 import torch
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.domains.tensors import index_below, pick_slot
+from bbq_torchrl.domains.tensors import index_below
 from bbq_torchrl.simulator import ErrorModel, FeatureLayout, Rewards, Simulator
 
 NAN = float("nan")
@@ -65,13 +65,6 @@ def test_draws_are_uniform_and_named_as_documented(movie):
         assert 0 <= value.min() <= value.max() < 1
         # The mean of n uniform numbers has the standard deviation 1 / sqrt(12 n).
         assert abs(value.double().mean() - 0.5) < 5 / (12 * value.numel()) ** 0.5
-
-
-def test_a_choice_falls_on_the_lowest_of_equals_and_on_nothing_of_none():
-    pool = torch.tensor([False, True, True, False, True])
-    for number in (0.0, 0.5):
-        assert pick_slot(pool, torch.full((5,), number)).tolist() == [False, True, *[False] * 3]
-    assert not pick_slot(pool & False, torch.rand(5)).any()
 
 
 def test_the_largest_number_never_reaches_the_count():

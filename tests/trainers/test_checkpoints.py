@@ -19,20 +19,20 @@ NETWORK = "components/0000-network"
 STATE = f"{NETWORK}/state.pt"
 
 
-def network(value: float = 0.0) -> nn.Linear:
+def network(value=0.0):
     net = nn.Linear(3, 2)
     nn.init.constant_(net.weight, value)
     return net
 
 
-def save(folder, *rounds: int):
+def save(folder, *rounds):
     """Saves a network whose weights are the round's number after each of the rounds."""
     for number in rounds:
         path = CheckpointFolder(folder, network=network(number)).save(number, {"seed": 7})
     return path
 
 
-def restored(folder) -> float:
+def restored(folder):
     """The number of the round whose weights are restored."""
     net = network()
     CheckpointFolder(folder, network=net).restore()

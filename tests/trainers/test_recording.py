@@ -96,7 +96,7 @@ def test_a_resumed_run_continues_the_same_wandb_run(tmp_path, monkeypatch):
     ]
 
 
-def row(replica: int, evaluated: float = math.nan, **changed: float) -> dict[str, int | float]:
+def row(replica, evaluated=math.nan, **changed):
     """The metrics of a round, as the progress takes them."""
     row = {"round": 0, "replica": replica, "success_rate": 0.25 + 0.5 * replica}
     row |= {"reward": -10.0 + 4 * replica, "kl": 100.0, "seconds": 2.0}

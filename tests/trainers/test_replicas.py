@@ -6,7 +6,7 @@ from functools import partial
 import pytest
 import torch
 from tensordict import TensorDict
-from torch import Tensor, nn
+from torch import nn
 from trainer_parts import make_trainer
 
 from bbq_torchrl.data import Batch
@@ -14,7 +14,6 @@ from bbq_torchrl.trainers import (
     BestWeights,
     NonFiniteLossError,
     ReplicaAdam,
-    RoundTrainer,
 )
 from bbq_torchrl.trainers.learn import LossSums
 
@@ -72,7 +71,7 @@ def test_an_optimizers_restored_state_is_a_copy():
     assert steps(optimizer.state_dict()) == [2.0, 2.0, 1.0]
 
 
-def sums_of(values: Tensor, first_ends_at: int | None = None) -> LossSums:
+def sums_of(values, first_ends_at=None):
     """Sums of what updates reported, [updates, replicas]; the first replica's end earlier."""
     sums = LossSums(values.shape[1])
     for number, update in enumerate(values):
@@ -103,7 +102,7 @@ def test_a_replicas_sums_do_not_depend_on_the_updates_of_another():
     assert beside.updates == [100, 150]
 
 
-def weights(trainer: RoundTrainer) -> Tensor:
+def weights(trainer):
     (weight,) = trainer.learner.optimizer.parameters
     return weight.detach()
 
@@ -133,7 +132,7 @@ def test_what_one_replica_does_leaves_the_others_bitwise_alone(tmp_path, capacit
     assert of_plain != of_changed
 
 
-def break_the_first(trainer: RoundTrainer, _: object) -> None:
+def break_the_first(trainer, _):
     """A callback that makes the next round of replica 0 fail."""
     weights(trainer)[0, 1, 1] = torch.nan
 
@@ -162,7 +161,7 @@ def test_where_all_break_the_error_names_what_to_change(tmp_path):
         trainer.train()
 
 
-def new_best() -> tuple[nn.Module, BestWeights]:
+def new_best():
     policy = nn.Module()
     policy.weight = nn.Parameter(torch.zeros(3, 2))
     return policy, BestWeights(policy, replicas=3)
@@ -188,12 +187,3 @@ def test_each_replica_keeps_the_weights_of_its_own_best_round_resumed_or_not():
     assert best.success_rate.tolist() == pytest.approx([0.6, 0.7, 0.0])
     best.put_back()
     assert policy.weight.tolist() == [[1.0, 1.0], [4.0, 4.0], [0.0, 0.0]]
-
-
-def test_a_best_from_before_a_given_round_does_not_count():
-    _, best = new_best()
-    best.update(0, torch.tensor([0.9, 0.9, 0.9]))
-    best.update(3, torch.tensor([0.1, 0.95, 0.0]), since=2)
-    best.update(4, torch.tensor([0.05, 0.5, 0.0]), since=2)
-    assert best.round.tolist() == [3, 3, 3]
-    assert best.success_rate.tolist() == pytest.approx([0.1, 0.95, 0.0])

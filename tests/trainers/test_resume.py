@@ -1,14 +1,11 @@
 """A run that is killed and resumed ends like an uninterrupted one, bit for bit."""
 
-from __future__ import annotations
-
 import logging
 import os
 import signal
 import zipfile
 from itertools import count
 from operator import attrgetter
-from typing import TYPE_CHECKING
 
 import forked
 import pytest
@@ -17,15 +14,12 @@ from tiny import nightly, rows
 from trainer_parts import make_trainer, random_policy
 
 from bbq_torchrl.data import ReplicaReplay
-from bbq_torchrl.trainers import ReplicaAdam, RoundTrainer, Spike, checkpoint
+from bbq_torchrl.trainers import ReplicaAdam, Spike, checkpoint
 from bbq_torchrl.trainers.recording import MetricsFile
-
-if TYPE_CHECKING:
-    from pathlib import Path
 
 # Where a process dies: the function, and which of its calls. Rounds 2, 4, ... save a checkpoint of
 # five parts, the first one is saved right after the spike (one call of extend).
-MOMENTS: dict[str, tuple[object, str, int]] = {
+MOMENTS = {
     "while the buffer is spiked": (ReplicaReplay, "extend", 1),
     "while the first checkpoint is staged": (checkpoint._TorchFile, "save", 3),
     "before the first checkpoint is published": (os, "replace", 1),
@@ -41,15 +35,15 @@ MOMENTS: dict[str, tuple[object, str, int]] = {
 WITHIN_A_LINE = "within a line of the metrics"
 
 
-def die() -> None:
+def die():
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def die_at(owner: object, name: str, call: int) -> None:
+def die_at(owner, name, call):
     """Makes the process die at that call of the function."""
     function, calls = getattr(owner, name), count(1)
 
-    def counted(*args: object, **kwargs: object) -> object:
+    def counted(*args, **kwargs):
         if next(calls) == call:
             die()
         return function(*args, **kwargs)
@@ -57,7 +51,7 @@ def die_at(owner: object, name: str, call: int) -> None:
     setattr(owner, name, counted)
 
 
-def die_within_a_line(trainer: RoundTrainer, _: object) -> None:
+def die_within_a_line(trainer, _):
     """A callback that makes the process die with half a line of metrics.csv written."""
     if trainer.rounds_done == 5:
         path = trainer.metrics.path
@@ -65,12 +59,12 @@ def die_within_a_line(trainer: RoundTrainer, _: object) -> None:
         die()
 
 
-def build(folder: Path, rounds: int = 10) -> RoundTrainer:
+def build(folder, rounds=10):
     spike = Spike(random_policy, 5)
     return make_trainer(folder, rounds=rounds, replicas=2, capacity=200, spike=spike)
 
 
-def train(folder: Path, moment: str | None = None) -> None:
+def train(folder, moment=None):
     """Resumes the training, or starts it, and dies at the given moment."""
     trainer = build(folder)
     if moment == WITHIN_A_LINE:
@@ -80,7 +74,7 @@ def train(folder: Path, moment: str | None = None) -> None:
     trainer.train(resume=True)
 
 
-def assert_same_training(folder: Path, reference: RoundTrainer) -> None:
+def assert_same_training(folder, reference):
     """Compares the last checkpoint of a finished run with that of an uninterrupted one."""
     ours = build(folder)
     ours.train(resume=True)
@@ -92,7 +86,7 @@ def assert_same_training(folder: Path, reference: RoundTrainer) -> None:
 
 
 @pytest.fixture(scope="module")
-def reference(tmp_path_factory) -> RoundTrainer:
+def reference(tmp_path_factory):
     """An uninterrupted run."""
     trainer = build(tmp_path_factory.mktemp("reference") / "run")
     rows = trainer.train()

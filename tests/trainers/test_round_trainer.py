@@ -6,8 +6,7 @@ from types import SimpleNamespace
 import pytest
 import torch
 import trainer_parts
-from dynamics_losses import dynamics_loss
-from q_transitions import bayes_loss, plain_loss, transitions
+from q_transitions import bayes_loss, dynamics_loss, plain_loss, transitions
 from tensordict import TensorDict
 from torch.optim import Adam
 from torchrl.envs import ExcludeTransform, TransformedEnv
@@ -91,7 +90,7 @@ def test_rounds_follow_the_protocol_and_move_schedules_and_environment(tmp_path,
 
     rows = trainer.train()
 
-    expected: list[str] = []
+    expected = []
     for row in rows:
         expected += 2 * ["step", *["forward"] * (int(row["updates"]) // 2)]
     assert events == expected

@@ -1,13 +1,9 @@
 """A batched environment and a stacked Q-network of a few lines: the trainer needs no dialogue."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING, Any
-
 import torch
-from tensordict import TensorDict, TensorDictBase
+from tensordict import TensorDict
 from tensordict.nn import TensorDictSequential
-from torch import Tensor, nn
+from torch import nn
 from torchrl.data import Binary, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 from torchrl.modules import EGreedyModule
@@ -17,10 +13,6 @@ from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.networks import q_actor
 from bbq_torchrl.objectives import DropoutDQNLoss
 from bbq_torchrl.trainers import Learner, ReplicaAdam, RoundTrainer, Spike
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-    from pathlib import Path
 
 FEATURES, ACTIONS = 6, 4
 TURNS = 7
@@ -33,7 +25,7 @@ class GuessEnv(EnvBase):
     the hint (feature 0) is 1. The hint is redrawn every turn.
     """
 
-    def __init__(self, replicas: int, places: int) -> None:
+    def __init__(self, replicas, places):
         super().__init__(batch_size=[replicas, places])
         shape = (replicas, places)
         self.observation_spec = Composite(
@@ -45,26 +37,26 @@ class GuessEnv(EnvBase):
         self.action_spec = Categorical(ACTIONS, shape=shape)
         self.reward_spec = Unbounded((*shape, 1))
         self.generator = torch.Generator()
-        self.rounds_seen: list[int] = []
+        self.rounds_seen = []
 
-    def _set_seed(self, seed: int | None) -> None:
+    def _set_seed(self, seed):
         self.generator.manual_seed(seed)
 
-    def set_round(self, round_number: int) -> None:
+    def set_round(self, round_number):
         self.rounds_seen.append(round_number)
 
-    def _observe(self) -> TensorDict:
+    def _observe(self):
         noise = torch.rand(*self.batch_size, FEATURES, generator=self.generator)
         noise[..., 0] = (noise[..., 0] < 0.5).float()
         self.hint = noise[..., :1] > 0
         mask = (torch.arange(ACTIONS) < ACTIONS - 1).expand(*self.batch_size, -1)
         return TensorDict({"observation": noise, "action_mask": mask.clone()}, self.batch_size)
 
-    def _reset(self, tensordict: TensorDictBase | None) -> TensorDictBase:
+    def _reset(self, tensordict):
         self.count = torch.zeros(*self.batch_size, 1, dtype=torch.long)
         return self._observe().set("success", self.count > 0)
 
-    def _step(self, tensordict: TensorDictBase) -> TensorDictBase:
+    def _step(self, tensordict):
         guessed = tensordict["action"].unsqueeze(-1) == 0
         success = guessed & self.hint
         self.count = self.count + 1
@@ -77,14 +69,14 @@ class GuessEnv(EnvBase):
 class ReplicaLinearQ(nn.Module):
     """Q-values of R linear networks, and a bit of noise that comes from the global generator."""
 
-    def __init__(self, replicas: int) -> None:
+    def __init__(self, replicas):
         super().__init__()
         self.replicas = torch.Size([replicas])
         generator = torch.Generator().manual_seed(1)
         start = torch.randn(replicas, FEATURES, ACTIONS, generator=generator)
         self.weight = nn.Parameter(0.1 * start)
 
-    def forward(self, observation: Tensor) -> Tensor:
+    def forward(self, observation):
         noise = 1 + 0.1 * torch.randn_like(self.weight)
         return observation @ (self.weight * noise)
 
@@ -94,7 +86,7 @@ class CountingEGreedy(EGreedyModule):
 
     resampled = 0
 
-    def resample(self) -> None:
+    def resample(self):
         self.resampled += 1
 
 
@@ -102,29 +94,29 @@ class CountingLoss(DropoutDQNLoss):
     """A loss that records the numbers of data it gets; the targets of its network are random."""
 
     has_fixed_targets = False
-    num_data: tuple[list[int], ...] = ()
+    num_data = ()
 
-    def set_num_data(self, rows: Tensor) -> None:
+    def set_num_data(self, rows):
         self.num_data += (rows.tolist(),)
 
 
-def random_policy(tensordict: TensorDictBase) -> TensorDictBase:
+def random_policy(tensordict):
     """Guesses at once half of the time: the spike policy of these tests."""
     action = (torch.rand(tensordict.batch_size) < 0.5).long()
     return tensordict.set("action", action)
 
 
 def make_trainer(
-    folder: Path,
+    folder,
     *,
-    replicas: int = 3,
-    places: int = 8,
-    capacity: int = 120,
-    env: EnvBase | None = None,
-    optimizer: object = None,
-    last: Sequence[nn.Module] = (),
-    **given: Any,
-) -> RoundTrainer:
+    replicas=3,
+    places=8,
+    capacity=120,
+    env=None,
+    optimizer=None,
+    last=(),
+    **given,
+):
     """Returns a trainer of tiny parts that learns for a few rounds."""
     env = GuessEnv(replicas, places) if env is None else env
     spec = env.action_spec_unbatched

@@ -2,8 +2,18 @@
 
 import pytest
 import torch
-from dynamics_losses import COPIES, dynamics_loss, model, result
-from q_transitions import ACTIONS, FEATURES, REPLICAS, assert_learns, elements, transitions
+from q_transitions import (
+    ACTIONS,
+    COPIES,
+    FEATURES,
+    REPLICAS,
+    assert_learns,
+    dynamics_loss,
+    elements,
+    model,
+    result,
+    transitions,
+)
 from torch.distributions import Normal, kl_divergence
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 

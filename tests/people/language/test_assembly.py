@@ -1,7 +1,5 @@
 """Readings become frames: counts, denials, unknown names, no preference, foreign sentences."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """A study of two agents with its server in this process."""
 
-from __future__ import annotations
-
 import re
 from contextlib import closing, contextmanager
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """A talker without networks and language: people write slot=value, "ask slot", "book" and "bye"."""
 
-from __future__ import annotations
-
 import json
 import time
 

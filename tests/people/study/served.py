@@ -1,7 +1,5 @@
 """A study served by a process of its own, as a researcher serves it."""
 
-from __future__ import annotations
-
 import os
 import re
 import socket

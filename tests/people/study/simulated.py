@@ -1,7 +1,5 @@
 """Dialogues of the simulator, turn by turn and as conversations of the study."""
 
-from __future__ import annotations
-
 from itertools import pairwise
 
 import torch

@@ -1,7 +1,5 @@
 """Addresses: where a server listens, where people reach it, whose forms it takes."""
 
-from __future__ import annotations
-
 import re
 import socket
 from contextlib import closing

@@ -1,7 +1,5 @@
 """The study in a real browser: Debian's Chromium, driven by Playwright."""
 
-from __future__ import annotations
-
 import re
 import shutil
 
@@ -144,15 +142,3 @@ def test_on_a_phone_the_goal_is_small_once_read_and_the_rating_is_in_sight(visit
         page.locator(f"input[name={name}]").first.check()
     page.get_by_role("button", name="Next").click()
     assert page.locator("details.card").get_attribute("open") is not None  # another goal
-
-
-@pytest.mark.parametrize("width", [360, 1_280])
-def test_the_researchers_page_keeps_its_columns(browser, server, width):
-    page = browser.new_context(viewport={"width": width, "height": 800}).new_page()
-    page.goto(server.links["for you"])
-    assert fits(page)
-    boxes = [page.locator(f"dl div:nth-child({row}) dd").bounding_box() for row in range(1, 6)]
-    assert len({box["x"] for box in boxes}) == 1
-    if width > 1_000:
-        terms = [page.locator(f"dl div:nth-child({row}) dt").bounding_box() for row in range(1, 6)]
-        assert [box["y"] for box in boxes] == [box["y"] for box in terms]

@@ -1,7 +1,5 @@
 """Permissions of a study's files, copies of the live file, forgetting people, exported texts."""
 
-from __future__ import annotations
-
 import os
 import shutil
 from contextlib import closing, contextmanager

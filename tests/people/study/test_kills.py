@@ -1,9 +1,6 @@
 """Servers killed between and in requests: nothing that was acknowledged is lost."""
 
-from __future__ import annotations
-
 import random
-import signal
 import threading
 import time
 from contextlib import suppress
@@ -72,14 +69,3 @@ def test_a_server_that_is_killed_loses_nothing_acknowledged(tmp_path, kills):
         assert len(texts) == len(set(texts))
         for person in people:
             assert set(person.answered) <= set(texts)
-
-
-@pytest.mark.slow
-def test_a_served_study_ends_when_it_is_told_to(tmp_path):
-    (tmp_path / "study.yaml").write_text(STUDY)
-    server = Server(tmp_path / "study.yaml").start()
-    server.process.send_signal(signal.SIGTERM)
-    _, errors = server.process.communicate(timeout=60)
-    *loading, last = errors.splitlines()
-    assert loading == ["loading the agents secret-bbqn, secret-dqn ..."]
-    assert last == "interrupted while serving: the same command continues the study"

@@ -1,7 +1,5 @@
 """The order in which people meet agents."""
 
-from __future__ import annotations
-
 from collections import Counter
 from itertools import pairwise
 

@@ -1,7 +1,5 @@
 """The pages that people see, from the first to the last."""
 
-from __future__ import annotations
-
 import re
 from html import escape
 from urllib.parse import urlencode
@@ -10,7 +8,7 @@ import pytest
 
 from bbq_torchrl.people.study.database import SCALES
 
-from .conftest import RATED, published
+from .conftest import RATED
 from .fakes import script
 
 HOSTILE = ("<script>alert(1)</script>", "{{ 7 * 7 }} {% raw %}", "\u202egnirts a\u202c אבג", "🎬🍿")
@@ -165,13 +163,6 @@ def test_who_consents_is_enrolled_once(site):
     links = {str(site.client.post(site.join, data={**form, "consent": "yes"}).url) for _ in "12"}
     assert len(links) == 1
     assert site.store.progress()[0]["enrolled"] == 1
-
-
-def test_the_consent_page_tells_whom_to_ask_and_for_how_long_data_are_kept(study):
-    with published(study, retention="until the end of 2027") as site:
-        page = site.client.get(site.join).text
-    assert "We keep it until the end of 2027." in page
-    assert "Write to ann@lab.example." in page
 
 
 def test_the_researcher_sees_progress_and_beliefs_turn_by_turn(site):

@@ -1,7 +1,5 @@
 """Study files: what is allowed, and every fault in one sentence."""
 
-from __future__ import annotations
-
 import pytest
 
 from bbq_torchrl.people.study import StudyError, load_study

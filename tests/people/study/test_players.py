@@ -1,7 +1,5 @@
 """Trained agents and the simulator's users in a study, and turn by turn as in the simulator."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

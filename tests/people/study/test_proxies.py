@@ -1,7 +1,5 @@
 """A study behind real web servers, set up as docs/people.md says: prefix, HTTPS and redirects."""
 
-from __future__ import annotations
-
 import re
 import shutil
 import ssl
@@ -160,38 +158,3 @@ def test_a_study_behind_a_prefix_and_https_is_whole(tmp_path, program, changes):
         keys = [link.rsplit("/", 1)[1] for link in (join, researcher)]
     for log in tmp_path.glob("*.log"):
         assert not any(key in log.read_text() for key in keys)
-
-
-def test_a_browser_leaves_no_link_in_the_log_of_a_web_server(tmp_path):
-    playwright = pytest.importorskip("playwright.sync_api", reason="needs the package playwright")
-    for program in ("nginx", "chromium"):
-        if shutil.which(program) is None:
-            pytest.skip(f"needs the program {program}")
-    certificate(tmp_path)
-    port = free_port()
-    url = f"https://localhost:{port}/study/"
-    text = f"{STUDY}url: {url}\njoin_parameters: [PROLIFIC_PID]\n"
-    (tmp_path / "study.yaml").write_text(text)
-    with (
-        Server(tmp_path / "study.yaml") as server,
-        nginx(tmp_path, server.port, port, {}),
-        playwright.sync_playwright() as driver,
-    ):
-        browser = driver.chromium.launch(
-            executable_path=shutil.which("chromium"), args=["--no-sandbox"]
-        )
-        page = browser.new_context(ignore_https_errors=True).new_page()
-        page.goto(server.links["for you"])
-        page.goto(f"{server.links['for people']}?PROLIFIC_PID=ann17")
-        page.get_by_role("checkbox").check()
-        page.get_by_role("button", name="Begin").click()
-        page.wait_for_url("**/p/*")
-        links = [*server.links.values(), page.url]
-        page.evaluate("new Image().src = '/elsewhere'")  # a request that the log has
-        page.wait_for_timeout(500)
-        browser.close()
-    log = (tmp_path / "access.log").read_text()
-    assert "/elsewhere" in log
-    assert not any(
-        secret in log for secret in ("ann17", *(link.rsplit("/", 1)[1] for link in links))
-    )

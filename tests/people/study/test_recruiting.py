@@ -1,7 +1,5 @@
 """People who come by a link with an id, and are paid by it."""
 
-from __future__ import annotations
-
 import csv
 import json
 import re

@@ -1,7 +1,5 @@
 """Requests that no browser of an honest person sends."""
 
-from __future__ import annotations
-
 import asyncio
 from concurrent.futures import ThreadPoolExecutor
 

@@ -1,7 +1,5 @@
 """Studies with simulated users go the way of studies with people, again and again the same."""
 
-from __future__ import annotations
-
 import csv
 import json
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Estimates and tests of a study against scipy, closed forms and simulation."""
 
-from __future__ import annotations
-
 import math
 from fractions import Fraction
 
@@ -17,7 +15,7 @@ from bbq_torchrl.people.study.participants import (
     proportion,
     sign_flip,
 )
-from bbq_torchrl.utils.statistics import PValue, holm
+from bbq_torchrl.utils.statistics import PValue
 
 
 @pytest.mark.parametrize(("won", "count"), [(0, 10), (3, 10), (40, 66), (66, 66)])
@@ -82,11 +80,6 @@ def test_denominators_with_nothing_in_common_are_drawn():
     primes = [101, 103, 107, 109, 113, 127, 131, 137, 139, 149, 151, 157]
     values = [Fraction(prime // 2, prime) for prime in primes]
     assert sign_flip(values) == pytest.approx(2 / 2**12, abs=2e-4)
-
-
-def test_holm_steps_down():
-    assert holm([0.04, 0.01, 0.9]) == pytest.approx([0.08, 0.03, 0.9])
-    assert holm([0.5, 0.6, 0.7]) == [1.0, 1.0, 1.0]
 
 
 def test_p_values_have_three_decimals():

@@ -1,7 +1,5 @@
 """The study's file: what it has when, and damaged or foreign ones."""
 
-from __future__ import annotations
-
 import os
 import sqlite3
 from contextlib import closing
