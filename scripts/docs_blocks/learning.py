@@ -64,22 +64,30 @@ def _width() -> str:
     )
 
 
-@block("results.gp_greedy")
-def _draws() -> str:
-    """Returns what the Gaussian process books by its draws, and what it books greedily."""
-    both = group("gp"), group("gp_greedy")
-    seeds = {seed for seed, *_ in both[1].members}
-    rows, kept = [], []
-    for name, one in zip(("Thompson sampling", "greedily"), both, strict=True):
-        early, end = (
-            [value for value, (seed, *_) in zip(values, one.members, strict=True) if seed in seeds]
-            for values in (one.booked(EARLY), one.final)
-        )
-        rows.append((name, estimate(early), estimate(end)))
-        kept.append((early, end))
-    differences = [paired(*pair) for pair in zip(*kept, strict=True)]
-    head = (f"Gaussian process, {len(seeds)} seeds", f"booked of the first {EARLY:,}", "at the end")
-    return table(head, [*rows, ("difference", *differences)], numbers=2)
+GP_EXPLORERS = {
+    "a draw a turn": "gp",
+    "a draw a dialogue": "gp_explorers/episode",
+    "Boltzmann": "gp_explorers/boltzmann",
+    "ε": "gp_explorers/epsilon_greedy",
+    "greedily": "gp_explorers/greedy",
+}
+"""Explorer of the Gaussian process -> its runs, the first of which is the reference."""
+
+
+@block("results.gp_explorers")
+def _gp_explorers() -> str:
+    """Returns what the Gaussian process books by its draws and by other explorers, by pairs."""
+    reference, rows = group("gp"), []
+    for explorer, name in GP_EXPLORERS.items():
+        for own in groups(name):
+            row = [explorer, len(own.final)]
+            for quantity, values in (("early", own.booked(EARLY)), ("final", own.final)):
+                gap = EMPTY if name == "gp" else minus(reference, own, quantity)
+                row += [estimate(values), gap]
+            rows.append(row)
+    first = next(iter(GP_EXPLORERS))
+    head = (f"booked of the first {EARLY:,}", f"{first} minus it", "at the end", f"{first} minus it")
+    return table(("Gaussian process", "seeds", *head), rows, numbers=5)
 
 
 @block("results.visits")
