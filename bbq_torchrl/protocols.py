@@ -156,7 +156,7 @@ class Measured(Protocol):
         """Returns metrics of the rows stored since the last call, by name, [replicas] each."""
 
 
-# -- environments and evaluators --------------------------------------------------------------
+# -- environments and checkpoints --------------------------------------------------------------
 
 
 class RoundEnv(Protocol):
@@ -180,33 +180,6 @@ class Stateful(Protocol):
 
     def load_state_dict(self, state_dict: Mapping[str, Any], /) -> object:
         """Restores the state from :meth:`state_dict`."""
-
-
-class BestSoFar(Stateful, Protocol):
-    """The weights of each replica at its best evaluation."""
-
-    @property
-    def round(self) -> Tensor:
-        """The round of each replica's best evaluation, int64 [replicas]."""
-
-    @property
-    def success_rate(self) -> Tensor:
-        """The success rate in that round, [replicas]."""
-
-
-class EvaluationHook(Protocol):
-    """Evaluates the reported policy after every round."""
-
-    @property
-    def best(self) -> BestSoFar:
-        """The best weights so far; saved in every checkpoint."""
-
-    def __call__(self, round_number: int) -> Mapping[str, float | Tensor]:
-        """Returns metrics of the round by name, one number or [replicas] each.
-
-        The names must be the same in every round; NaN marks a round without an evaluation. It may
-        use torch's global generator, but no other random number source of the training.
-        """
 
 
 # -- optimizers and networks ------------------------------------------------------------------

@@ -30,16 +30,14 @@ import torch
 from tensordict import TensorDict
 
 from bbq_torchrl.bayes import weight_scope
-from bbq_torchrl.evaluation.rollouts import evaluation_rollouts
 from bbq_torchrl.exploration import MajorityVote
 from bbq_torchrl.networks.q_actor import split_actor
 from bbq_torchrl.options.env import FullDomain
 from bbq_torchrl.runs.build import make_domain
 from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.runs.folders import run_config
+from bbq_torchrl.runs.folders import run_config, run_folder
 from bbq_torchrl.runs.loading import trained_policy
-from bbq_torchrl.runs.shipped import run_folder
-from bbq_torchrl.trainers import episode_stats
+from bbq_torchrl.trainers import episode_stats, evaluation_rollouts
 from bbq_torchrl.utils import output
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ from pathlib import Path
 
 from bbq_torchrl.evaluation.run_result import read_result, write_json
 from bbq_torchrl.options.task import replica_values
-from bbq_torchrl.runs import shipped
+from bbq_torchrl.runs import folders
 from bbq_torchrl.runs.build import make_domain
 from bbq_torchrl.runs.folders import config_fingerprint, run_config, save_config
 from bbq_torchrl.runs.train import make_agent
@@ -70,7 +70,7 @@ def main() -> None:
     parser.add_argument("name", help="of the shipped agent")
     parser.add_argument("--replica", type=int, default=0, help="which of the run's")
     arguments = parser.parse_args()
-    ship(arguments.run, shipped.SHIPPED / arguments.name, arguments.replica)
+    ship(arguments.run, folders.SHIPPED / arguments.name, arguments.replica)
 
 
 if __name__ == "__main__":

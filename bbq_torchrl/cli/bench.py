@@ -309,9 +309,8 @@ def goal_plays(cell: Cell) -> dict[str, Any]:
     """Plays a trained cell's goals. Returns plays and successes, [replicas, goals] each."""
     import torch
 
-    from bbq_torchrl.evaluation.rollouts import evaluation_rollouts
     from bbq_torchrl.runs.loading import load_run
-    from bbq_torchrl.trainers import episode_stats
+    from bbq_torchrl.trainers import episode_stats, evaluation_rollouts
     from bbq_torchrl.utils.seeds import derive_seed
 
     config = cell.config

@@ -86,9 +86,9 @@ def calibrate(
     from scipy.optimize import brentq
 
     from bbq_torchrl.envs import scripted_policy
-    from bbq_torchrl.evaluation.rollouts import evaluate
     from bbq_torchrl.options.env import FullDomain
     from bbq_torchrl.runs.build import check_device, set_up_process
+    from bbq_torchrl.trainers import evaluate
     from bbq_torchrl.utils.seeds import derive_seed
     from bbq_torchrl.utils.statistics import binomial_standard_error
 

@@ -1,4 +1,4 @@
-"""``bbq evaluate``: plays dialogues and prints one line of JSON."""
+"""``bbq evaluate``: plays dialogues, prints one line of JSON, and writes transcripts."""
 
 from __future__ import annotations
 
@@ -13,8 +13,7 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl.options import EvaluateConfig
 from bbq_torchrl.options.task import replica_values
 from bbq_torchrl.runs.compose import compose, take_config_dir, value_of
-from bbq_torchrl.runs.folders import run_config
-from bbq_torchrl.runs.shipped import run_folder
+from bbq_torchrl.runs.folders import run_config, run_folder
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.files import RESULT, write_text
@@ -24,9 +23,12 @@ from bbq_torchrl.utils.text import as_typed, shown
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from tensordict import TensorDictBase
     from tensordict.nn import TensorDictModuleBase
 
     from bbq_torchrl.envs import DialogueEnv
+    from bbq_torchrl.simulator import Transcript
+    from bbq_torchrl.trainers import Policy
 
 USAGE = f"""\
 usage: bbq evaluate policy=<policy> [<key>=<value> ...]
@@ -101,9 +103,9 @@ def evaluation(config: EvaluateConfig) -> dict[str, Any]:
         ValueError or OSError: a missing policy, corpus or device.
     """
     from bbq_torchrl.domains.domain import RANDOM_POLICY
-    from bbq_torchrl.evaluation.rollouts import evaluate
     from bbq_torchrl.runs.build import check_device, make_domain, set_up_process
     from bbq_torchrl.runs.loading import trained_policy
+    from bbq_torchrl.trainers import evaluate
     from bbq_torchrl.utils.statistics import binomial_standard_error
 
     check_device(config.device)
@@ -167,8 +169,6 @@ def evaluation(config: EvaluateConfig) -> dict[str, Any]:
 
 def _write_log(config: EvaluateConfig, env: DialogueEnv, policy: TensorDictModuleBase) -> None:
     """Writes the first dialogues of the evaluation as readable acts."""
-    from bbq_torchrl.evaluation.rollouts import transcripts
-
     assert config.log is not None
     file = Path(expanduser(config.log))
     dialogues = min(config.log_dialogues, config.dialogues)
@@ -177,3 +177,49 @@ def _write_log(config: EvaluateConfig, env: DialogueEnv, policy: TensorDictModul
         write_text(file, "\n".join(texts))
     except OSError as error:
         raise ConfigError(f"log={config.log} cannot be written: {error.strerror}") from error
+
+
+def transcripts(env: DialogueEnv, policy: Policy, dialogues: int, *, seed: int = 0) -> list[str]:
+    """Plays dialogues and returns them as texts, a line for each turn.
+
+    They are the first dialogues of :func:`evaluate` with the same environment and seed, of the
+    first replica.
+
+    Args:
+        env: batch size [replicas, dialogues in parallel].
+        policy: writes an action.
+        dialogues: number of dialogues.
+        seed: seed of policy and environment.
+    """
+    from torch import nn
+
+    from bbq_torchrl.simulator import Transcript
+    from bbq_torchrl.trainers import evaluation_rollouts
+
+    transcript = Transcript(env.simulator.domain)
+    states: list[TensorDictBase] = []
+    texts: list[str] = []
+
+    def recorded(tensordict: TensorDictBase) -> TensorDictBase:
+        states.append(env.dialogues[0].cpu())
+        return policy(tensordict)
+
+    if isinstance(policy, nn.Module):
+        policy.eval()
+    for rollout in evaluation_rollouts(env, recorded, dialogues, seed=seed):
+        states.append(env.dialogues[0].cpu())
+        for place in range(rollout.batch_size[-2]):
+            texts.append(_text(transcript, len(texts), [state[place] for state in states]))
+        states.clear()
+    return texts
+
+
+def _text(transcript: Transcript, number: int, states: list[TensorDictBase]) -> str:
+    """Returns the text of a dialogue: goal, turns and outcome."""
+    lines = [f"dialogue {number + 1}: {transcript.goal(states[0])}"]
+    for state in states:
+        lines += [f"  {line}" for line in transcript.lines(state)]
+        if bool(state["done"]):
+            lines.append("  success" if bool(state["success"]) else "  failure")
+            break
+    return "\n".join(lines) + "\n"

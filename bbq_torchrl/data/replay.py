@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import torch
@@ -15,7 +15,6 @@ from bbq_torchrl.data.rows import (
     Batch,
     gather_rows,
     map_stored_rows,
-    repeated_indices,
     shuffled_indices,
     validate_transitions,
 )
@@ -34,9 +33,6 @@ TRANSITION_KEYS: tuple[NestedKey, ...] = (
     ("next", "done"),
     ("next", "terminated"),
 )
-
-_GATHERED_BATCHES = 64
-"""The number of batches gathered at once: more would take memory without saving time."""
 
 
 class ReplicaReplay:
@@ -224,37 +220,6 @@ class ReplicaReplay:
         """
         self._check_readable(batch_size)
         indices, valid = shuffled_indices(self.buffers, batch_size)
-        lengths = self.lengths
-        return [
-            Batch(batch, tuple(number * batch_size < length for length in lengths))
-            for number, batch in enumerate(self._batches(indices, valid, batch_size))
-        ]
-
-    def batches(self, batch_size: int, count: int) -> Iterator[list[Batch]]:
-        """Yields ``count`` batches, whatever the number of transitions of each replica.
-
-        Each replica is read in passes, every pass shuffled anew; the last pass may be incomplete.
-        All batches are full.
-
-        Args:
-            batch_size: the number of rows per batch and replica.
-            count: the number of batches.
-
-        Yields:
-            up to 64 batches at a time, gathered together.
-
-        Raises:
-            ValueError: if ``batch_size`` is not positive or a replica has no transitions.
-        """
-        self._check_readable(batch_size)
-        indices = repeated_indices(self.buffers, count * batch_size)
-        active = (True,) * self.replicas
-        for part in indices.split(_GATHERED_BATCHES * batch_size, 1):
-            valid = torch.ones(part.shape, dtype=torch.bool, device=part.device)
-            yield [Batch(batch, active) for batch in self._batches(part, valid, batch_size)]
-
-    def _batches(self, indices: Tensor, valid: Tensor, batch_size: int) -> Sequence[TensorDictBase]:
-        """Returns the transformed rows at these indices, split into batches."""
         rows: TensorDictBase = gather_rows(
             self.buffers, self.stored_keys, indices, valid, self._computed
         )
@@ -264,7 +229,12 @@ class ReplicaReplay:
             rows["protected"] = torch.stack(marks) & valid
         if self.transform is not None:
             rows = self.transform(rows)
-        return rows.unflatten(1, (rows.shape[1] // batch_size, batch_size)).unbind(1)
+        batches = rows.unflatten(1, (rows.shape[1] // batch_size, batch_size)).unbind(1)
+        lengths = self.lengths
+        return [
+            Batch(batch, tuple(number * batch_size < length for length in lengths))
+            for number, batch in enumerate(batches)
+        ]
 
     def _check_readable(self, batch_size: int = 1) -> None:
         check("batch_size", batch_size, at_least(1))

@@ -123,26 +123,6 @@ def shuffled_indices(
     return torch.stack(indices), valid
 
 
-def repeated_indices(buffers: Sequence[TensorDictReplayBuffer], count: int) -> Tensor:
-    """Returns the indices of ``count`` rows of each buffer, in shuffled passes.
-
-    Args:
-        buffers: the buffers of each replica, whose samplers shuffle.
-        count: the number of rows, fewer or more than a buffer has.
-
-    Returns:
-        int64, shape [replicas, count].
-    """
-    indices = []
-    for buffer in buffers:
-        length = len(buffer)
-        passes = [
-            buffer.sampler.sample(buffer.storage, length)[0] for _ in range(-(-count // length))
-        ]
-        indices.append(torch.cat(passes)[:count])
-    return torch.stack(indices)
-
-
 def gather_rows(
     buffers: Sequence[TensorDictReplayBuffer],
     keys: Sequence[NestedKey],

@@ -1,1 +1,1 @@
-"""Evaluation of trained agents: dialogues, statistics over seeds, tables and figures."""
+"""Evaluation of finished runs: results, comparisons over seeds, tables and figures."""

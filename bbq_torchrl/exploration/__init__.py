@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from bbq_torchrl.exploration.annealed import BatchedEGreedy, Boltzmann
-from bbq_torchrl.exploration.base import ActorPolicy
+from bbq_torchrl.exploration.base import ActorPolicy, EvaluationPolicy, Greedy
 from bbq_torchrl.exploration.bootstrap import BootstrapSampling, MajorityVote
-from bbq_torchrl.exploration.evaluation import EvaluationPolicy, Greedy
 from bbq_torchrl.exploration.thompson import NoisySampling, ThompsonSampling
 
 __all__ = [

@@ -13,8 +13,8 @@ from torchrl.modules import QValueActor
 
 from bbq_torchrl.bayes.scope import weight_scope
 from bbq_torchrl.exploration.base import ActorPolicy, Per, explores, weight_sums
+from bbq_torchrl.networks.bootstrap import VoteModule
 from bbq_torchrl.networks.q_actor import split_actor
-from bbq_torchrl.networks.vote import VoteModule
 
 
 class _HeadPolicy(ActorPolicy):
@@ -55,7 +55,7 @@ class MajorityVote(_HeadPolicy):
 
     Each head votes for its legal action with the highest value. Ties are broken by the highest mean
     value over all heads, then by the lowest index (see
-    :class:`~bbq_torchrl.networks.vote.VoteModule`). Writes the action and, as ``action_value``
+    :class:`~bbq_torchrl.networks.bootstrap.VoteModule`). Writes the action and, as ``action_value``
     [*batch, N], the mean of the values over the heads.
 
     Args:

@@ -20,7 +20,7 @@ from bbq_torchrl.exploration.base import (
     forget_draws,
     posterior_sums,
 )
-from bbq_torchrl.networks.noisy_mlp import noisy_layers
+from bbq_torchrl.networks.mlp import noisy_layers
 
 
 class ThompsonSampling(ActorPolicy):

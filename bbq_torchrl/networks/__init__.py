@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
+from bbq_torchrl.networks.bootstrap import BootstrapMLP, bootstrap_actor
 from bbq_torchrl.networks.gaussian_process import GaussianProcess
-from bbq_torchrl.networks.mlp import BootstrapMLP, FlatMLP
-from bbq_torchrl.networks.noisy_mlp import NoisyMLP, ReplicaNoisyLinear
+from bbq_torchrl.networks.mlp import FlatMLP, NoisyMLP, ReplicaNoisyLinear
 from bbq_torchrl.networks.q_actor import q_actor
-from bbq_torchrl.networks.vote import bootstrap_actor
 
 __all__ = [
     "BootstrapMLP",

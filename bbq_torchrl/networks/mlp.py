@@ -1,4 +1,4 @@
-"""Multi-layer perceptrons with a replica dimension: a plain one, and one with bootstrap heads."""
+"""Multi-layer perceptrons with a replica dimension: a plain one, and a noisy one (NoisyNet)."""
 
 from __future__ import annotations
 
@@ -6,10 +6,11 @@ from collections.abc import Sequence
 
 import torch
 from torch import Tensor, nn
+from torchrl.modules import NoisyLinear
 
 from bbq_torchrl.bayes.functional import FlatLayout, as_rows, init_linear_, mlp, replica_shape
-from bbq_torchrl.bayes.scope import WEIGHT_MODE, WeightMode, current_scope
-from bbq_torchrl.settings import AT_LEAST_ZERO, BELOW_ONE, at_least, check
+from bbq_torchrl.bayes.scope import WEIGHT_MODE, WeightMode, current_scope, resolve_weight_mode
+from bbq_torchrl.settings import ABOVE_ZERO, BELOW_ONE, check
 
 
 class FlatMLP(nn.Module):
@@ -94,53 +95,137 @@ class FlatMLP(nn.Module):
         return f"sizes={self.layout.sizes}, replicas={tuple(self.replicas)}, dropout={self.dropout}"
 
 
-class BootstrapMLP(nn.Module):
-    """A ReLU network with K heads (Osband et al., Bootstrapped DQN, 2016), or replicas of it.
+class ReplicaNoisyLinear(NoisyLinear):
+    """TorchRL's NoisyLinear with a replica dimension and new noise in each call.
 
-    The heads share the first ``trunk_layers`` hidden layers. Their losses are summed, so a head
-    learns as fast as a separate network. The gradient that they pass to the trunk, and through it
-    to the input, is divided by K (section 6.1 of the paper).
+    Parameters, their names and initial values are those of :class:`~torchrl.modules.NoisyLinear`,
+    with leading replica dimensions: weights μ + σ ∘ (ε_out ⊗ ε_in) and biases μ + σ ∘ ε_out with
+    the factorized noise ε = sgn(z) √|z|, z ~ N(0, 1) (Fortunato et al., Noisy Networks for
+    Exploration, 2018).
+    TorchRL's layer stores ε in buffers until ``reset_noise``. Here each call draws new noise from
+    torch's global generator. So states, copies and frozen targets contain no noise, other calls may
+    come between a forward and its backward pass, and ``reset_noise`` has nothing to do.
 
     Args:
         in_features: size of the input.
-        out_features: size of each head's output.
-        hidden: sizes of the hidden layers. Defaults to (256, 256).
+        out_features: size of the output.
 
     Keyword Args:
-        heads: the number K of heads. Defaults to 10.
-        replicas: the number R of independent networks of K heads, or a shape; inputs have it as
-            their leading dimensions. Defaults to (), one network.
-        trunk_layers: the number of hidden layers that the heads share; 0 makes K separate networks.
-            Defaults to None, all of them.
-        prior_scale: if positive, the scale of a fixed network added to each head and initialized
-            like the trained one (randomized prior functions, Osband et al. 2018). Heads then differ
-            where data are missing. Defaults to 0.
-        device: of the weights.
-        dtype: of the weights.
-
-    Attributes:
-        trunk: parameter [*replicas, P_trunk], None without a trunk.
-        heads: parameter [*replicas, K, P_head].
-        prior_trunk: buffer of the trunk's shape, None without a trunk or a prior.
-        prior_heads: buffer of the heads' shape, None without a prior.
-        trunk_layout: layout of the trunk's weight vector, None without a trunk.
-        head_layout: layout of each head's weight vector.
+        replicas: leading shape of the parameters. Defaults to (), one layer.
+        std_init: initially σ is std_init/√in_features for weights and std_init/√out_features for
+            biases (as in TorchRL; the paper divides both by √in_features). Defaults to 0.5.
+        device: of the parameters.
+        dtype: of the parameters.
 
     Raises:
-        ValueError: for an invalid argument.
+        ValueError: if std_init is not positive.
 
     Examples:
         >>> import torch
-        >>> from bbq_torchrl.networks import BootstrapMLP
-        >>> net = BootstrapMLP(268, 39, heads=10, replicas=5, prior_scale=1.0)
-        >>> net(torch.ones(5, 32, 268)).shape
-        torch.Size([5, 32, 10, 39])
-        >>> [name for name, _ in net.named_parameters()]
-        ['trunk', 'heads']
+        >>> from torch import nn
+        >>> from torchrl.envs.utils import ExplorationType, set_exploration_type
+        >>> from bbq_torchrl.networks import ReplicaNoisyLinear
+        >>> net = nn.Sequential(ReplicaNoisyLinear(3, 8), nn.Tanh(), ReplicaNoisyLinear(8, 2))
+        >>> with set_exploration_type(ExplorationType.RANDOM):
+        ...     torch.equal(net(torch.ones(3)), net(torch.ones(3)))
+        False
     """
 
-    prior_trunk: Tensor | None
-    prior_heads: Tensor | None
+    def __init__(
+        self,
+        in_features: int,
+        out_features: int,
+        *,
+        replicas: int | Sequence[int] = (),
+        std_init: float = 0.5,
+        device: torch.device | str | None = None,
+        dtype: torch.dtype | None = None,
+    ) -> None:
+        check("std_init", std_init, ABOVE_ZERO)
+        super().__init__(in_features, out_features, device=device, dtype=dtype, std_init=std_init)
+        self.replicas = replica_shape(replicas)
+        del self.weight_epsilon, self.bias_epsilon
+        for name, parameter in list(self.named_parameters()):
+            empty = parameter.new_empty((*self.replicas, *parameter.shape))
+            setattr(self, name, nn.Parameter(empty))
+        self.reset_parameters()
+
+    def reset_noise(self) -> None:
+        """Does nothing: each call draws new noise."""
+
+    def _should_use_noise(self) -> bool:
+        return False  # weight and bias are the means; each call draws the noise
+
+    def _noise(self, *shape: int) -> Tensor:
+        """Returns sgn(z) √|z| with z ~ N(0, 1)."""
+        return self._scale_noise(shape).to(self.weight_mu.dtype)
+
+    def forward(self, x: Tensor, mode: WeightMode | None = None) -> Tensor:
+        """Returns the outputs, shape [*replicas, *batch, out].
+
+        Args:
+            x: inputs, shape [*replicas, *batch, in].
+            mode: "draw" (one noise draw of each replica for the whole call), "local"
+                (separate noise for each row), "mean" (μ), or None, which
+                :func:`~bbq_torchrl.bayes.scope.resolve_weight_mode` resolves.
+
+        Raises:
+            ValueError: for an unknown mode or a wrong shape.
+        """
+        mode = resolve_weight_mode(mode)
+        # W xᵀ, features first, so that the gradient of W has the memory layout of W.
+        columns = as_rows(x, self.replicas, self.in_features).mT
+        count, _, batch = columns.shape
+        weight, weight_sigma, bias, bias_sigma = (
+            parameter.reshape(count, self.out_features, -1)
+            for parameter in (self.weight_mu, self.weight_sigma, self.bias_mu, self.bias_sigma)
+        )
+        if mode == "draw":
+            noise_in = self._noise(count, 1, self.in_features)
+            noise_out = self._noise(count, self.out_features, 1)
+            weight = torch.addcmul(weight, weight_sigma, noise_out * noise_in)
+            bias = torch.addcmul(bias, bias_sigma, noise_out)
+        out = torch.baddbmm(bias, weight, columns)
+        if mode == "local":
+            # Σ_j σ_ij ε_i ε_j x_j + σ_i ε_i = ε_i (Σ_j σ_ij (ε_j x_j) + σ_i), with ε of each row
+            noise_in = self._noise(count, self.in_features, batch)
+            noise_out = self._noise(count, self.out_features, batch)
+            spread = torch.baddbmm(bias_sigma, weight_sigma, columns * noise_in)
+            out = torch.addcmul(out, spread, noise_out)
+        return out.mT.reshape(*x.shape[:-1], self.out_features)
+
+
+class NoisyMLP(nn.Module):
+    """A ReLU network whose layers are all noisy (NoisyNet), or independent replicas of it.
+
+    The loss alone trains σ along with μ, without the prior and KL of
+    :class:`~bbq_torchrl.bayes.BayesMLP`.
+
+    Args:
+        in_features: size of the input.
+        out_features: size of the output.
+        hidden: sizes of the hidden layers. Defaults to (256, 256).
+
+    Keyword Args:
+        replicas: the number R of independent networks, or a shape; inputs have it as their
+            leading dimensions. Defaults to (), one network.
+        std_init: scale σ₀ of the initial standard deviations, see :class:`ReplicaNoisyLinear`.
+            Defaults to 0.5, as in the paper and TorchRL.
+        device: of the parameters.
+        dtype: of the parameters.
+
+    Raises:
+        ValueError: if std_init is not positive.
+
+    Examples:
+        >>> import torch
+        >>> from bbq_torchrl.networks import NoisyMLP
+        >>> net, x = NoisyMLP(3, 2, (16,), replicas=5), torch.ones(5, 7, 3)
+        >>> net(x, "draw").shape
+        torch.Size([5, 7, 2])
+        >>> torch.equal(net(x, "draw"), net(x, "draw")), torch.equal(net(x), net(x, "mean"))
+        (False, True)
+    """
 
     def __init__(
         self,
@@ -148,88 +233,64 @@ class BootstrapMLP(nn.Module):
         out_features: int,
         hidden: Sequence[int] = (256, 256),
         *,
-        heads: int = 10,
         replicas: int | Sequence[int] = (),
-        trunk_layers: int | None = None,
-        prior_scale: float = 0.0,
+        std_init: float = 0.5,
         device: torch.device | str | None = None,
         dtype: torch.dtype | None = None,
     ) -> None:
         super().__init__()
-        trunk_layers = len(hidden) if trunk_layers is None else trunk_layers
-        check("heads", heads, at_least(1))
-        if not 0 <= trunk_layers <= len(hidden):
-            raise ValueError(
-                f"trunk_layers must be from 0 to {len(hidden)}, the number of hidden layers, got "
-                f"{trunk_layers}"
-            )
-        check("prior_scale", prior_scale, AT_LEAST_ZERO)
         self.in_features, self.out_features = in_features, out_features
-        sizes = (in_features, *hidden, out_features)
-        self.trunk_layout = FlatLayout(sizes[: trunk_layers + 1]) if trunk_layers else None
-        self.head_layout = FlatLayout(sizes[trunk_layers:])
         self.replicas = replica_shape(replicas)
-        self.num_heads = heads
-        self.prior_scale = prior_scale
-
-        def empty(layout: FlatLayout, *rows: int) -> Tensor:
-            return torch.empty((*self.replicas, *rows, layout.numel), device=device, dtype=dtype)
-
-        trunk, layout = self.trunk_layout, self.head_layout
-        self.trunk = None if trunk is None else nn.Parameter(empty(trunk))
-        self.heads = nn.Parameter(empty(layout, heads))
-        has_prior = prior_scale > 0
-        self.register_buffer("prior_trunk", empty(trunk) if trunk and has_prior else None)
-        self.register_buffer("prior_heads", empty(layout, heads) if has_prior else None)
-        self._init_linear_(self.prior_trunk, self.prior_heads)
-        self.reset_parameters()
-
-    def reset_parameters(self) -> None:
-        """Draws the weights like ``nn.Linear``, uniform in ±1/√inputs; the priors are unchanged."""
-        self._init_linear_(self.trunk, self.heads)
-
-    def _init_linear_(self, trunk: Tensor | None, heads: Tensor | None) -> None:
-        if trunk is not None and self.trunk_layout is not None:
-            init_linear_(trunk, self.trunk_layout)
-        if heads is not None:
-            init_linear_(heads, self.head_layout)
+        self.layers = nn.ModuleList(
+            ReplicaNoisyLinear(
+                inputs, outputs, replicas=replicas, std_init=std_init, device=device, dtype=dtype
+            )
+            for inputs, outputs in FlatLayout((in_features, *hidden, out_features)).shapes
+        )
 
     def reset_inactive_(self, inputs: Tensor, outputs: Tensor) -> None:
-        """Sets the weights of inactive inputs to 0, those of the priors too.
+        """Sets μ and σ of the weights of inactive inputs to 0.
 
         See :class:`bbq_torchrl.protocols.Growing`.
         """
-        layout = self.trunk_layout or self.head_layout
-        flats: tuple[Tensor | None, ...] = (self.heads, self.prior_heads)
-        if self.trunk_layout is not None:
-            flats = (self.trunk, self.prior_trunk)
-        for flat in flats:
-            if flat is not None:
-                layout.unflatten(flat)[0][0][..., inputs, :] = 0
+        first = noisy_layers(self)[0]
+        first.weight_mu[..., inputs] = 0
+        first.weight_sigma[..., inputs] = 0
 
-    def forward(self, x: Tensor) -> Tensor:
-        """Returns the outputs of all heads, shape [*replicas, *batch, K, out].
+    def reset_parameters(self) -> None:
+        """Initializes the layers again: μ uniform in ±1/√inputs, σ by ``std_init``."""
+        for layer in noisy_layers(self):
+            layer.reset_parameters()
+
+    def forward(self, x: Tensor, mode: WeightMode | None = None) -> Tensor:
+        """Returns the outputs, shape [*replicas, *batch, out].
 
         Args:
             x: inputs, shape [*replicas, *batch, in].
+            mode: "draw" (one noise draw of each replica for the whole call), "local" (a separate
+                draw for each row; exact, as factorized noise needs no weights for each row),
+                "mean" (μ), or None, which
+                :func:`~bbq_torchrl.bayes.scope.resolve_weight_mode` resolves.
 
         Raises:
-            ValueError: for a wrong shape.
+            ValueError: for an unknown mode or a wrong shape.
         """
-        as_rows(x, self.replicas, self.in_features)  # checks the shape
-        out = self._run(x, self.trunk, self.heads)
-        if self.prior_heads is not None:
-            prior = self._run(x, self.prior_trunk, self.prior_heads)
-            out = torch.add(out, prior, alpha=self.prior_scale)
-        return out.movedim(len(self.replicas), -2)
+        mode = resolve_weight_mode(mode)
+        for k, layer in enumerate(self.layers):
+            x = layer(x if k == 0 else x.relu(), mode)
+        return x
 
-    def _run(self, x: Tensor, trunk: Tensor | None, heads: Tensor) -> Tensor:
-        """Returns [*replicas, K, *batch, out]."""
-        dim = len(self.replicas)
-        if trunk is not None and self.trunk_layout is not None:
-            x = mlp(x, trunk, self.trunk_layout).relu()
-            if torch.is_grad_enabled():
-                # the same (finite) values with 1/K of the gradient, as the heads' gradients add up
-                x = x.detach() + (x - x.detach()) / self.num_heads
-        x = x.unsqueeze(dim).expand(*x.shape[:dim], self.num_heads, *x.shape[dim:])
-        return mlp(x, heads, self.head_layout)
+
+def noisy_layers(module: nn.Module) -> list[ReplicaNoisyLinear]:
+    """Returns the noisy layers in ``module``.
+
+    Raises:
+        ValueError: if the module has no noisy layer.
+    """
+    layers = [m for m in module.modules() if isinstance(m, ReplicaNoisyLinear)]
+    if not layers:
+        raise ValueError(
+            "NoisyNet needs a network with noisy layers (NoisyMLP, ReplicaNoisyLinear), got "
+            f"{type(module).__name__} without any"
+        )
+    return layers

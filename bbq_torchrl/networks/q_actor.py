@@ -117,7 +117,7 @@ def split_actor(
     Args:
         actor: a ``QValueActor``, or any ``TensorDictSequential`` of modules (convolutional,
             recurrent, nested) that includes a ``QValueModule`` or
-            :class:`~bbq_torchrl.networks.vote.VoteModule`; modules after that are left out.
+            :class:`~bbq_torchrl.networks.bootstrap.VoteModule`; modules after that are left out.
 
     Returns:
         the network and the choosing module, not copies; the whole actor and None if no module

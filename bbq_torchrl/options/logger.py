@@ -24,12 +24,12 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 from bbq_torchrl.options.registry import Option, register
 from bbq_torchrl.settings import ANY_TEXT, ConfigError, option, setting, walk
-from bbq_torchrl.utils.extras import install_command, sqlite_url
 from bbq_torchrl.utils.files import METRICS, write_text
+from bbq_torchrl.utils.output import install_command, sqlite_url
 from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping, Sequence
 
     from torchrl.record.loggers import Logger
 
@@ -299,9 +299,15 @@ class RunLogger:
         self._try(self._option.log_config, self._loggers, flat)
         return self
 
-    def log_metrics(self, metrics: Mapping[str, float], step: int) -> None:
-        """Logs the metrics of a round."""
-        self._try(self._option.log_round, self._loggers, metrics, round=step)
+    def log_round(self, _: object, rows: Sequence[Mapping[str, float]]) -> None:
+        """Logs the metrics of a round, a callback of the trainer; NaN is left out."""
+        metrics = {
+            f"{name}/replica_{row['replica']}": float(value)
+            for row in rows
+            for name, value in row.items()
+            if name not in ("round", "replica") and value == value
+        }
+        self._try(self._option.log_round, self._loggers, metrics, round=rows[0]["round"])
 
     def log_result(self, result: Mapping[str, float], rounds: int) -> None:
         """Logs the numbers of the final result."""

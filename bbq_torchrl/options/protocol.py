@@ -17,7 +17,6 @@ from bbq_torchrl.settings import (
     integers,
     one_of,
     option,
-    optional,
     other_default,
     setting,
 )
@@ -39,9 +38,6 @@ class ProtocolOption(Option):
     lr_decay_from: float = setting(0.5, BELOW_ONE, "share of the rounds before learning rates fall")
     freezes: int = setting(2, COUNT, "target freezes of a round")
     epochs: int = setting(2, COUNT, "passes over the buffer after each freeze")
-    updates_per_round: int | None = setting(
-        None, optional(COUNT, "by the epochs"), "updates of a round and replica, instead of epochs"
-    )
     capacity: int = setting(10_000, STORED, "capacity of a replica's buffer in transitions")
     eval_dialogues: int = setting(10_000, STORED, "dialogues of a replica's final evaluation")
     eval_batch: int = setting(2_500, BATCH, "parallel evaluation dialogues of all replicas")
@@ -72,16 +68,11 @@ class ProtocolOption(Option):
         return min(dialogues, max(1, self.eval_batch // replicas))
 
     def check(self) -> None:
-        """Refuses settings that contradict each other."""
+        """Refuses a buffer smaller than a batch."""
         if self.capacity < self.batch_size:
             raise ConfigError(
                 f"protocol.capacity must be at least protocol.batch_size ({self.batch_size}), "
                 f"got {self.capacity}"
-            )
-        if self.updates_per_round is not None and self.updates_per_round < self.freezes:
-            raise ConfigError(
-                f"protocol.updates_per_round must be at least protocol.freezes ({self.freezes}), "
-                f"got {self.updates_per_round}"
             )
 
 

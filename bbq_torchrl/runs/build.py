@@ -13,7 +13,6 @@ import torch
 
 import bbq_torchrl
 from bbq_torchrl.data.replay import TRANSITION_KEYS
-from bbq_torchrl.evaluation.rollouts import RoundEvaluator
 from bbq_torchrl.options import Task
 from bbq_torchrl.options.task import action_mask_key, replica_values, spread
 from bbq_torchrl.runs.folders import config_fingerprint, finished_result
@@ -21,6 +20,7 @@ from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import (
     CheckpointDamagedError,
     CheckpointFolder,
+    RoundEvaluator,
     TrainingError,
     episode_stats,
     rollouts,
@@ -116,25 +116,6 @@ def task_of(config: Config, env: EnvBase) -> Task:
         action_mask_key=action_mask_key(env),
         inactive=config.env.inactive(env),
     )
-
-
-@contextmanager
-def named_memory() -> Iterator[None]:
-    """Names the keys that decide on memory when it runs out.
-
-    Raises:
-        TrainingError: if memory ran out.
-    """
-    try:
-        yield
-    except (MemoryError, RuntimeError) as error:
-        is_cpu = "can't allocate memory" in str(error)  # torch has no class for it
-        if not is_cpu and not isinstance(error, (MemoryError, torch.OutOfMemoryError)):
-            raise
-        raise TrainingError(
-            "memory ran out: lower replicas, protocol.capacity, protocol.dialogues or "
-            "protocol.eval_batch"
-        ) from error
 
 
 def check_weights(policy: nn.Module, folder: Path) -> None:

@@ -15,7 +15,6 @@ from bbq_torchrl.evaluation.curves import Metrics
 from bbq_torchrl.evaluation.figures import draw_run
 from bbq_torchrl.evaluation.finished_runs import agent_name, replicas_of
 from bbq_torchrl.evaluation.groups import grouped, read_groups
-from bbq_torchrl.evaluation.rollouts import evaluate
 from bbq_torchrl.evaluation.run_result import (
     RunResult,
     TrainingEvaluation,
@@ -30,7 +29,7 @@ from bbq_torchrl.options.task import replica_values
 from bbq_torchrl.protocols import enter_round
 from bbq_torchrl.runs.build import check_weights, divergence
 from bbq_torchrl.settings import ConfigError
-from bbq_torchrl.trainers import RunFolderGoneError
+from bbq_torchrl.trainers import RunFolderGoneError, evaluate
 from bbq_torchrl.utils.files import CURVE, RESULT
 
 if TYPE_CHECKING:

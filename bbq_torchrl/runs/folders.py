@@ -1,4 +1,9 @@
-"""The folder of a run: name, lock, configuration, and whether the run is finished."""
+"""The folder of a run: name, lock, configuration, and whether the run is finished.
+
+Trained agents that come with the package are used as ``shipped:<name>`` instead of a run folder.
+Each is a folder with the configuration, the result, the command line, and a checkpoint of the
+Q-network's weights in half precision. ``scripts/ship_agent.py`` makes it from a finished run.
+"""
 
 from __future__ import annotations
 
@@ -6,6 +11,8 @@ import dataclasses
 import os
 import platform
 from contextlib import contextmanager, suppress
+from os.path import expanduser
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import yaml
@@ -24,11 +31,10 @@ from bbq_torchrl.utils.files import (
     read_yaml,
     write_text,
 )
-from bbq_torchrl.utils.text import sentence
+from bbq_torchrl.utils.text import sentence, shown
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
-    from pathlib import Path
 
     from bbq_torchrl.evaluation.run_result import RunResult
 
@@ -209,3 +215,42 @@ def config_fingerprint(config: Config) -> dict[str, Any]:
         for key, _, value in walk(config)
         if not {key, key.partition(".")[0]} & set(_NOT_OF_THE_TRAINING)
     }
+
+
+SHIPPED = Path(__file__).resolve().parent / "shipped"
+"""The folder of the shipped agents."""
+
+PREFIX = "shipped:"
+
+
+def shipped_agents() -> list[str]:
+    """Returns the names of the shipped agents."""
+    return sorted(file.parent.name for file in SHIPPED.glob("*/config.yaml"))
+
+
+def run_folder(place: Path | str, base: Path | None = None) -> Path:
+    """Returns the folder of a shipped agent, or a run folder.
+
+    Args:
+        place: ``shipped:<name>`` or a path.
+        base: the folder that relative paths start from. Defaults to the working directory.
+
+    Raises:
+        ConfigError: no shipped agent has that name.
+
+    Examples:
+        >>> run_folder("shipped:bbqn_map").name
+        'bbqn_map'
+    """
+    text = str(place)
+    if not text.startswith(PREFIX):
+        return (base or Path()) / Path(expanduser(place))
+    name, known = text.removeprefix(PREFIX), shipped_agents()
+    if name not in known:
+        raise ConfigError(f"{PREFIX}<name> must name one of {', '.join(known)}, got {shown(text)}")
+    return SHIPPED / name
+
+
+def is_shipped(folder: Path) -> bool:
+    """Returns whether a folder belongs to a shipped agent."""
+    return folder.resolve().parent == SHIPPED

@@ -14,9 +14,8 @@ from bbq_torchrl.options.root import register_options
 from bbq_torchrl.protocols import enter_round
 from bbq_torchrl.runs.build import check_weights, float32_by_default, make_domain
 from bbq_torchrl.runs.compose import compose_raw, session
-from bbq_torchrl.runs.folders import config_fingerprint, run_config
+from bbq_torchrl.runs.folders import config_fingerprint, is_shipped, run_config, run_folder
 from bbq_torchrl.runs.prepare import prepare_run
-from bbq_torchrl.runs.shipped import is_shipped, run_folder
 from bbq_torchrl.runs.train import make_agent, run
 from bbq_torchrl.settings import ConfigError, check, one_of
 from bbq_torchrl.trainers import BestWeights, CheckpointFolder

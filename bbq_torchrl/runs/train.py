@@ -112,7 +112,6 @@ def run(config: Config, folder: Path, callbacks: Sequence[RoundCallback] = ()) -
         folders.run_lock(folder),
         RunLogger(config, folder) as logger,
         build.float32_by_default(),
-        build.named_memory(),
     ):
         _LOG.info("run folder: %s", folder)
         code = build.checkout()  # at the start, since the code may change during the run
@@ -201,9 +200,9 @@ def build_trainer(
         batch_size=protocol.batch_size,
         freezes=protocol.freezes,
         epochs=protocol.epochs,
-        updates_per_round=protocol.updates_per_round,
         lr_share=None if protocol.lr_final == 1 else protocol.lr_share,
     )
+    log = () if logger is None else (logger.log_round,)
     trainer = RoundTrainer(
         env,
         agent.policy,
@@ -218,8 +217,7 @@ def build_trainer(
         spike=spike.make(config.env.make_policy(spike_policy, env)) if spike_policy else None,
         evaluator=build.round_evaluator(config, domain, agent.actor),
         round_metrics={**agent.metrics, **build.values_as_metrics(config)},
-        loggers=[logger] if logger else [],
-        callbacks=(*callbacks, build.divergence_warning(config)),
+        callbacks=(*log, *callbacks, build.divergence_warning(config)),
         remedy=config.agent.remedy,
         config_fingerprint=config_fingerprint(config),
     )

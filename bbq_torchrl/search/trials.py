@@ -26,7 +26,7 @@ from bbq_torchrl.runs.compose import train_command
 from bbq_torchrl.runs.folders import is_finished, refuse_links, restarted_config
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import TrainingError
-from bbq_torchrl.utils.extras import sqlite_url
+from bbq_torchrl.utils.output import sqlite_url
 from bbq_torchrl.utils.reports import Table
 from bbq_torchrl.utils.seeds import derive_seed
 from bbq_torchrl.utils.statistics import interquartile_mean

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from bbq_torchrl.trainers.checkpoint import (
-    BestWeights,
     CheckpointDamagedError,
     CheckpointFolder,
     CheckpointMismatchError,
@@ -16,6 +15,12 @@ from bbq_torchrl.trainers.collect import (
     episode_stats,
     rollout,
     rollouts,
+)
+from bbq_torchrl.trainers.evaluation import (
+    BestWeights,
+    RoundEvaluator,
+    evaluate,
+    evaluation_rollouts,
 )
 from bbq_torchrl.trainers.learn import Learner, losses_of
 from bbq_torchrl.trainers.optimizer import ReplicaAdam
@@ -35,11 +40,14 @@ __all__ = [
     "NonFiniteLossError",
     "Policy",
     "ReplicaAdam",
+    "RoundEvaluator",
     "RoundTrainer",
     "RunFolderGoneError",
     "Spike",
     "TrainingError",
     "episode_stats",
+    "evaluate",
+    "evaluation_rollouts",
     "losses_of",
     "rollout",
     "rollouts",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass, field
 
 import torch
@@ -106,9 +106,6 @@ class Learner:
         batch_size: transitions per mini-batch and replica.
         freezes: the number of target freezes in a round, each followed by learning.
         epochs: the number of epochs over the buffer after each freeze.
-        updates_per_round: the number of updates in every round, spread over the freezes, instead of
-            ``epochs``, which give few updates while buffers are small. Defaults to None: use
-            ``epochs``.
         lr_share: returns the share of the learning rate for a round, counted from 0. Defaults to
             None: always 1.
 
@@ -128,7 +125,6 @@ class Learner:
     batch_size: int
     freezes: int
     epochs: int
-    updates_per_round: int | None = None
     lr_share: Callable[[int], float] | None = None
     sums: LossSums = field(init=False)
     diverged: set[int] = field(init=False, default_factory=set)
@@ -173,25 +169,16 @@ class Learner:
         for freeze in range(self.freezes):
             self.target_updater.step()
             self.compute_targets()
-            for batches in self._batches(round_number, freeze, seed):
+            for epoch in range(self.epochs):
+                # Each epoch has a seed, so that its draws do not depend on the length of earlier
+                # epochs, which is that of the longest replica.
+                seed_phase(seed, self.replay, "learn", round_number, freeze, epoch)
+                batches = self.replay.epoch(self.batch_size)
                 for loss in self._losses:
                     if provides(loss, BeginsEpochs):
                         loss.begin_epoch()
                 for batch in batches:
                     self.update(batch)
-
-    def _batches(self, round_number: int, freeze: int, seed: int) -> Iterator[list[Batch]]:
-        """Yields the batches after one freeze, some at a time."""
-        if self.updates_per_round is None:
-            for epoch in range(self.epochs):
-                # Each epoch has a seed, so that its draws do not depend on the length of earlier
-                # epochs, which is that of the longest replica.
-                seed_phase(seed, self.replay, "learn", round_number, freeze, epoch)
-                yield self.replay.epoch(self.batch_size)
-        else:
-            share, rest = divmod(self.updates_per_round, self.freezes)
-            seed_phase(seed, self.replay, "learn", round_number, freeze, 0)
-            yield from self.replay.batches(self.batch_size, share + (freeze < rest))
 
     def update(self, batch: Batch) -> None:
         """Updates the replicas that are active in a batch: loss, gradient, step, sums.

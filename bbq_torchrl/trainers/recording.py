@@ -1,4 +1,4 @@
-"""The metrics of a run: in memory, in metrics.csv, in loggers, and as progress on a terminal."""
+"""The metrics of a run: in memory, in metrics.csv, and as progress on a terminal."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import multiprocessing
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 from torch import Tensor
@@ -21,17 +21,10 @@ MetricRow = dict[str, int | float]
 """The metrics of one round and replica."""
 
 
-class LogsMetrics(Protocol):
-    """A TorchRL logger, of which only this method is called."""
-
-    def log_metrics(self, metrics: dict[str, Any], step: int) -> object:
-        """Logs the metrics of a round by name."""
-
-
 class MetricsFile:
     """The metrics of a run, in memory and in a tidy CSV file that grows with every round.
 
-    Loggers get the same rows. A missing metric (NaN) is empty in the file and not logged.
+    A missing metric (NaN) is empty in the file.
 
     The file is a copy of the metrics in the checkpoint. A process that is killed while it writes,
     or between two checkpoints, leaves rows that a resumed run replaces (:meth:`load_state_dict`).
@@ -39,8 +32,6 @@ class MetricsFile:
     Args:
         path: the file; its folder is created if it is missing.
         replicas: the number of replicas.
-        loggers: TorchRL loggers, which get ``<metric>/replica_<r>`` for all replicas at once, with
-            the round as the step.
 
     Attributes:
         rows: the rows of all rounds, one for each round and replica.
@@ -56,16 +47,15 @@ class MetricsFile:
         ['round,replica,success_rate,seconds', '0,0,0.5,3', '0,1,0.25,3']
     """
 
-    def __init__(self, path: Path, replicas: int, loggers: Sequence[LogsMetrics] = ()) -> None:
+    def __init__(self, path: Path, replicas: int) -> None:
         self.path = path
         self.replicas = replicas
-        self.loggers = tuple(loggers)
         self.rows: list[MetricRow] = []
 
     def append(
         self, round_number: int, columns: Mapping[str, float | Tensor | Sequence[float]]
     ) -> list[MetricRow]:
-        """Adds a round to the rows, the file and the loggers, and returns its rows.
+        """Adds a round to the rows and the file, and returns its rows.
 
         Args:
             round_number: the round, from 0.
@@ -91,14 +81,6 @@ class MetricsFile:
         self.path.parent.mkdir(parents=True, exist_ok=True)
         with self.path.open("w" if is_new else "a", encoding="utf-8", newline="") as file:
             file.write(_csv(self.rows if is_new else rows, header=is_new))
-        logged = {
-            f"{name}/replica_{replica}": float(column[replica])
-            for replica in range(self.replicas)
-            for name, column in values.items()
-            if not math.isnan(column[replica])
-        }
-        for logger in self.loggers:
-            logger.log_metrics(dict(logged), step=round_number)
         return rows
 
     def state_dict(self) -> dict[str, Any]:

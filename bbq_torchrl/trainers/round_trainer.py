@@ -18,7 +18,6 @@ from torchrl.envs import EnvBase
 from bbq_torchrl.data import ReplicaReplay
 from bbq_torchrl.protocols import (
     Annealed,
-    EvaluationHook,
     Resampled,
     SeesSuccess,
     enter_round,
@@ -30,8 +29,9 @@ from bbq_torchrl.trainers.checkpoint import (
     TrainingError,
 )
 from bbq_torchrl.trainers.collect import Spike, collect_dialogues
+from bbq_torchrl.trainers.evaluation import RoundEvaluator
 from bbq_torchrl.trainers.learn import Learner, seed_phase
-from bbq_torchrl.trainers.recording import LogsMetrics, MetricRow, MetricsFile, RoundProgress
+from bbq_torchrl.trainers.recording import MetricRow, MetricsFile, RoundProgress
 from bbq_torchrl.utils.files import CHECKPOINTS, METRICS
 from bbq_torchrl.utils.seeds import derive_seed
 
@@ -93,7 +93,6 @@ class RoundTrainer:
         round_metrics: functions read at the start of each round, such as an exploration rate; each
             returns one number or a tensor [replicas]. A name that another column has is an error at
             the end of the first round.
-        loggers: TorchRL loggers, which get the rows of ``metrics.csv``.
         callbacks: functions called after every round.
         remedy: what to do when learning diverges, for the error message.
         config_fingerprint: the settings that the training depends on, as JSON values by name, saved
@@ -115,9 +114,8 @@ class RoundTrainer:
     max_steps: int = 1000
     seed: int = 0
     spike: Spike | None = None
-    evaluator: EvaluationHook | None = None
+    evaluator: RoundEvaluator | None = None
     round_metrics: Mapping[str, Callable[[], float | Tensor]] = field(default_factory=dict)
-    loggers: Sequence[LogsMetrics] = ()
     callbacks: Sequence[RoundCallback] = ()
     remedy: str = "lower the learning rate"
     config_fingerprint: Mapping[str, Any] = field(default_factory=dict)
@@ -137,7 +135,7 @@ class RoundTrainer:
         }
         self.rounds_done = self.rounds_saved = 0
         self._stops = False
-        self.metrics = MetricsFile(self.run_folder / METRICS, replicas, self.loggers)
+        self.metrics = MetricsFile(self.run_folder / METRICS, replicas)
         best: dict[str, Any] = {} if self.evaluator is None else {"best": self.evaluator.best}
         self.checkpoints = CheckpointFolder(
             self.run_folder / CHECKPOINTS,

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import re
 
+from bbq_torchrl.cli.evaluate import transcripts
 from bbq_torchrl.domains import movie_domain, tensorize
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
-from bbq_torchrl.evaluation.rollouts import transcripts
 from bbq_torchrl.simulator import FeatureLayout
 from scripts.docs_blocks.common import block, code, table
 

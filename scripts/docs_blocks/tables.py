@@ -10,7 +10,7 @@ from typing import Any
 import yaml
 
 from bbq_torchrl.evaluation.run_result import read_result
-from bbq_torchrl.runs.shipped import PREFIX, SHIPPED, shipped_agents
+from bbq_torchrl.runs.folders import PREFIX, SHIPPED, shipped_agents
 from bbq_torchrl.utils.statistics import estimate
 from scripts.docs_blocks.common import (
     block,

@@ -8,7 +8,7 @@ import pytest
 from bbq_torchrl.cli import calibrate
 from bbq_torchrl.domains import load_domain
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
-from bbq_torchrl.evaluation.rollouts import evaluate
+from bbq_torchrl.trainers import evaluate
 
 LINE = re.compile(
     r"reference_slot_error_prob: (\S+)  # ± (\S+); careful succeeds in (\S+) ± (\S+) of 2000 "

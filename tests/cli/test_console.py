@@ -7,7 +7,7 @@ import pytest
 
 from bbq_torchrl.cli import console
 from bbq_torchrl.utils import interruption
-from bbq_torchrl.utils.extras import needed
+from bbq_torchrl.utils.output import needed
 
 
 @pytest.fixture(autouse=True)

@@ -14,7 +14,7 @@ import yaml
 from tiny import TINY
 
 from bbq_torchrl.cli.console import COMMANDS
-from bbq_torchrl.utils.extras import install_command
+from bbq_torchrl.utils.output import install_command
 
 ROOT = Path(__file__).resolve().parents[2]
 
@@ -24,7 +24,7 @@ from importlib.metadata import metadata
 import gymnasium
 import bbq_torchrl.envs.gymnasium
 from bbq_torchrl.cli.console import COMMANDS
-from bbq_torchrl.utils.extras import install_command
+from bbq_torchrl.utils.output import install_command
 about = metadata("bbq-torchrl")
 print(json.dumps({
     "file": bbq_torchrl.__file__,

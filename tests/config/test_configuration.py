@@ -117,7 +117,7 @@ def test_a_list_is_shared_out_among_the_replicas(tmp_path):
 def test_the_edges_of_what_fits_together_are_composed():
     assert compose(["agent=gp", "protocol.capacity=512"]).protocol.capacity == 512
     assert compose(["protocol=quick", "agent=gp"]).protocol.capacity == 40_000
-    compose(["protocol.capacity=32", "protocol.updates_per_round=2", "explore.temperature_end=.7"])
+    compose(["protocol.capacity=32", "explore.temperature_end=.7"])
     compose(["agent=bootstrap", "agent.trunk_layers=2", "replicas=4", "agent.lr=[.1,.2]"])
 
 

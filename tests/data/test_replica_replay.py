@@ -58,38 +58,6 @@ def test_an_epoch_shows_every_transition_once_in_batches_of_one_shape():
         assert torch.equal(transitions["next", "reward"], 100 * transitions["observation"])
 
 
-def numbers_of(replay, batch_size, count):
-    """The numbers each replica sees in ``count`` batches, [replicas, count * batch_size]."""
-    batches = [batch for part in replay.batches(batch_size, count) for batch in part]
-    assert len(batches) == count
-    assert all(all(batch.active) for batch in batches)
-    transitions = torch.cat([batch.transitions for batch in batches], 1)
-    assert transitions["valid"].all()
-    assert torch.equal(transitions["next", "reward"], 100 * transitions["observation"])
-    return transitions["observation"][..., 0] - 10_000 * torch.arange(replay.replicas)[:, None]
-
-
-@pytest.mark.parametrize("count", [1, 3, 70, 129])
-def test_as_many_batches_as_asked_for_read_each_replica_pass_after_pass(count):
-    lengths = (300, 40, 1)
-    replay = filled(*lengths)
-    for seen, length in zip(numbers_of(replay, 4, count), lengths, strict=True):
-        passes = seen.int().split(length)
-        for whole in passes[:-1]:
-            assert sorted(whole.tolist()) == list(range(length))
-        assert len(passes[-1].unique()) == len(passes[-1])
-
-
-def test_the_order_of_a_replicas_batches_depends_on_its_seed_and_rows_alone():
-    replay, other = filled(40, 30), filled(40, 9)
-    play_epoch(other)
-    for r in (replay, other):
-        r.seed([5, 6])
-    ours, theirs = numbers_of(replay, 4, 70), numbers_of(other, 4, 70)
-    assert torch.equal(ours[0], theirs[0])
-    assert not torch.equal(ours[1], theirs[1])
-
-
 def test_a_seed_decides_the_order_whatever_was_drawn_before_and_others_hold():
     replay, other = filled(40, 40), filled(40, 9)
     play_epoch(other, batch_size=7)
@@ -265,7 +233,6 @@ def test_a_state_of_another_transform_is_refused(transforms):
     ("wrong", "key"),
     [
         (lambda replay: replay.epoch(0), "batch_size"),
-        (lambda replay: next(replay.batches(0, 3)), "batch_size"),
         (lambda replay: replay.extend([rows(0, 1)]), "rows"),
         (
             lambda replay: replay.extend([rows(0, 3), rows(0, 3).exclude("observation")]),

@@ -10,10 +10,10 @@ from bbq_torchrl.cli import calibrate
 from bbq_torchrl.domains import Goal, load_domain
 from bbq_torchrl.domains.domain import REQUIRED_ACTS
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
-from bbq_torchrl.evaluation.rollouts import evaluate
 from bbq_torchrl.runs.build import find_spike_policy
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import run
+from bbq_torchrl.trainers import evaluate
 
 SLOTS = ["pickup", "dropoff", "car", "cost", "people", "greeting", "color", "taxi", "taskcomplete"]
 SLOTS += ["mc_list", "mc_list"]

@@ -16,7 +16,7 @@ from bbq_torchrl.envs import (
     UniformPolicy,
     scripted_policy,
 )
-from bbq_torchrl.evaluation.rollouts import evaluate, evaluation_rollouts
+from bbq_torchrl.trainers import evaluate, evaluation_rollouts
 
 
 @pytest.fixture(scope="module")

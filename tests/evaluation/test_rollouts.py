@@ -3,10 +3,11 @@
 import pytest
 import torch
 
+from bbq_torchrl.cli.evaluate import transcripts
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
-from bbq_torchrl.evaluation.rollouts import evaluate, transcripts
 from bbq_torchrl.exploration import Greedy
 from bbq_torchrl.networks import FlatMLP, q_actor
+from bbq_torchrl.trainers import evaluate
 
 PLACES = 6
 

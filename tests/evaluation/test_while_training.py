@@ -12,10 +12,10 @@ from torch.testing import assert_close
 from bbq_torchrl import load_run
 from bbq_torchrl.cli import evaluate as command
 from bbq_torchrl.evaluation.curves import read_metrics
-from bbq_torchrl.evaluation.rollouts import evaluate
 from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.runs.train import build_trainer, run
 from bbq_torchrl.settings import ConfigError
+from bbq_torchrl.trainers import evaluate
 from bbq_torchrl.utils.seeds import derive_seed
 
 SMALL = (

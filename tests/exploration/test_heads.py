@@ -13,7 +13,7 @@ from torchrl.modules import QValueActor
 
 from bbq_torchrl.exploration import BootstrapSampling, EvaluationPolicy, Greedy, MajorityVote
 from bbq_torchrl.networks import BootstrapMLP, bootstrap_actor
-from bbq_torchrl.networks.vote import VoteModule
+from bbq_torchrl.networks.bootstrap import VoteModule
 
 RANDOM, DETERMINISTIC = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
 HEADS = 7

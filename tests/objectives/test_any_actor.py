@@ -21,7 +21,7 @@ from bbq_torchrl.exploration import (
     ThompsonSampling,
 )
 from bbq_torchrl.networks import BootstrapMLP, ReplicaNoisyLinear
-from bbq_torchrl.networks.vote import VoteModule
+from bbq_torchrl.networks.bootstrap import VoteModule
 from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, DropoutDQNLoss, NoisyDQNLoss
 
 ROWS, HIDDEN, PIXELS = 6, 8, (2, 6, 5)

@@ -251,7 +251,7 @@ def _take(record, logged):
 def of_mlflow(folder):
     from mlflow import MlflowClient
 
-    from bbq_torchrl.utils.extras import sqlite_url
+    from bbq_torchrl.utils.output import sqlite_url
 
     client = MlflowClient(os.environ.get("MLFLOW_TRACKING_URI") or sqlite_url(folder / "mlflow.db"))
     (experiment,) = client.search_experiments(filter_string="name = 'bbq-torchrl'")

@@ -13,7 +13,7 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from bbq_torchrl import load_run
 from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation.run_result import read_result
-from bbq_torchrl.runs import shipped
+from bbq_torchrl.runs import folders
 from scripts import ship_agent
 
 
@@ -21,10 +21,10 @@ def evaluated(*given):
     return evaluate.evaluation(evaluate.composed(given))
 
 
-@pytest.mark.parametrize("name", nightly(shipped.shipped_agents(), ["bbqn_map"]))
+@pytest.mark.parametrize("name", nightly(folders.shipped_agents(), ["bbqn_map"]))
 def test_a_shipped_agent_does_what_its_result_says(name):
     line = evaluated(f"policy=shipped:{name}", "dialogues=500", "batch=500")
-    result = read_result(shipped.SHIPPED / name)
+    result = read_result(folders.SHIPPED / name)
     assert result.replicas == 1
     # five standard errors of a difference of two rates
     assert line["success_rate"] == pytest.approx(result.success_rate, abs=0.11)
@@ -57,7 +57,7 @@ def test_a_key_of_the_environment_changes_the_runs_own():
 
 
 def test_the_six_agents_of_the_papers_human_evaluation_and_the_imitating_one_are_shipped():
-    found = {name: read_result(shipped.SHIPPED / name) for name in shipped.shipped_agents()}
+    found = {name: read_result(folders.SHIPPED / name) for name in folders.shipped_agents()}
     given = {"": (150, "full"), "_before": (40, "domain_ext"), "_after": (200, "domain_ext")}
     assert {name: (result.rounds, result.env) for name, result in found.items()} == {
         f"{agent}{when}": given[when] for agent in ("bbqn_map", "dqn") for when in given
@@ -75,16 +75,16 @@ def test_an_agent_of_before_the_extension_knows_the_essential_slots_alone():
 
 
 def test_shipped_agents_are_small_files_without_a_path_of_a_machine():
-    files = [file for file in shipped.SHIPPED.rglob("*") if file.is_file()]
+    files = [file for file in folders.SHIPPED.rglob("*") if file.is_file()]
     assert sum(file.stat().st_size for file in files) < 3_500_000
-    for name in shipped.shipped_agents():
-        config = yaml.safe_load((shipped.SHIPPED / name / "config.yaml").read_text())
+    for name in folders.shipped_agents():
+        config = yaml.safe_load((folders.SHIPPED / name / "config.yaml").read_text())
         assert config["domain"].get("path") is None
-        assert (shipped.SHIPPED / name / "overrides.yaml").is_file()
+        assert (folders.SHIPPED / name / "overrides.yaml").is_file()
 
 
 def test_what_is_shipped_is_one_replica_of_the_run(commanded, tmp_path, monkeypatch):
-    monkeypatch.setattr(shipped, "SHIPPED", tmp_path)
+    monkeypatch.setattr(folders, "SHIPPED", tmp_path)
     ship_agent.ship(commanded, tmp_path / "second", replica=1)
     env, policy, config, mode = load_run("shipped:second", dialogues=4)
     assert (config.replicas, mode, env.batch_size) == (1, "mean", torch.Size([1, 4]))

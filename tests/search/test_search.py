@@ -324,8 +324,8 @@ def test_a_full_disk_ends_the_search_and_the_next_start_goes_on(tmp_path):
 
 def test_help_needs_no_optuna(tmp_path):
     program = (
-        "import sys, runpy; sys.modules['optuna'] = None; sys.argv = ['search', '--help'];"
-        "runpy.run_module('bbq_torchrl.search', run_name='__main__')"
+        "import sys, runpy; sys.modules['optuna'] = None; sys.argv = ['bbq', 'search', '--help'];"
+        "runpy.run_module('bbq_torchrl.cli.console', run_name='__main__')"
     )
     out, err = forked.python("-c", program, cwd=tmp_path)
     assert "usage: bbq search" in out

@@ -4,7 +4,7 @@ import pytest
 
 from bbq_torchrl.domains import load_miulab
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
-from bbq_torchrl.evaluation.rollouts import evaluate
+from bbq_torchrl.trainers import evaluate
 
 COUNT = 20_000
 STANDARD_ERRORS = 4.5

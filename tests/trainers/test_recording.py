@@ -1,4 +1,4 @@
-"""A round's numbers: in memory, on disk, in TorchRL's loggers, and in a bar or the log."""
+"""A round's numbers: in memory, on disk, in loggers, and in a bar or the log."""
 
 import importlib.util
 import logging
@@ -11,6 +11,7 @@ import pytest
 import torch
 
 from bbq_torchrl.options import LoggerOption, schemas
+from bbq_torchrl.options.logger import RunLogger
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers.recording import MetricsFile, RoundProgress
 
@@ -18,18 +19,16 @@ LOGGERS = schemas()["logger"]
 
 
 def test_loggers_get_what_the_file_gets_but_for_what_a_round_has_not(tmp_path):
-    logger = MagicMock()
-    metrics = MetricsFile(tmp_path / "new" / "metrics.csv", 2, [logger])
-    metrics.append(0, {"loss": [0.5, math.nan], "buffer": [3, 4]})
-    metrics.append(1, {"loss": 0.25, "buffer": torch.tensor([5, 6])})
+    option = MagicMock()
+    logger = RunLogger(MagicMock(logger=option), tmp_path)
+    metrics = MetricsFile(tmp_path / "new" / "metrics.csv", 2)
+    logger.log_round(None, metrics.append(0, {"loss": [0.5, math.nan], "buffer": [3, 4]}))
+    logger.log_round(None, metrics.append(1, {"loss": 0.25, "buffer": torch.tensor([5, 6])}))
 
     first = {"loss/replica_0": 0.5, "buffer/replica_0": 3.0, "buffer/replica_1": 4.0}
     second = {"loss/replica_0": 0.25, "buffer/replica_0": 5.0}
     second |= {"loss/replica_1": 0.25, "buffer/replica_1": 6.0}
-    assert logger.mock_calls == [
-        call.log_metrics(first, step=0),
-        call.log_metrics(second, step=1),
-    ]
+    assert option.log_round.mock_calls == [call((), first, round=0), call((), second, round=1)]
     table = "round,replica,loss,buffer\n0,0,0.5,3\n0,1,,4\n1,0,0.25,5\n1,1,0.25,6\n"
     assert metrics.path.read_text() == table
 

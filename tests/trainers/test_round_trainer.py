@@ -74,16 +74,6 @@ def noted(monkeypatch, trainer):
     return events
 
 
-def test_a_round_has_the_updates_that_are_asked_for_from_the_first_to_the_last(
-    tmp_path, monkeypatch
-):
-    trainer = make_trainer(tmp_path, rounds=3, replicas=2, updates_per_round=7)
-    events = noted(monkeypatch, trainer)
-    rows = trainer.train()
-    assert [row["updates"] for row in rows] == 6 * [7]
-    assert events == 3 * ["step", *4 * ["forward"], "step", *3 * ["forward"]]
-
-
 def test_rounds_follow_the_protocol_and_move_schedules_and_environment(tmp_path, monkeypatch):
     trainer = make_trainer(tmp_path, rounds=2, replicas=1)
     events = noted(monkeypatch, trainer)

@@ -123,8 +123,7 @@ def make_trainer(
     actor = q_actor(ReplicaLinearQ(replicas), spec)
     explore = CountingEGreedy(spec, 0.8, 0.0, annealing_num_steps=4, action_mask_key="action_mask")
     loss = CountingLoss(actor, gamma=0.9)
-    of_learner = {"batch_size": 16, "freezes": 2, "epochs": 2}
-    of_learner |= {"updates_per_round": None, "lr_share": None}
+    of_learner = {"batch_size": 16, "freezes": 2, "epochs": 2, "lr_share": None}
     of_learner = {name: given.pop(name, value) for name, value in of_learner.items()}
     learner = Learner(
         loss,

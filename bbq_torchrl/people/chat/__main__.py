@@ -18,8 +18,7 @@ from bbq_torchrl.options.registry import load_folder
 from bbq_torchrl.people.dialogue import RULES
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import output
-from bbq_torchrl.utils.extras import needed
-from bbq_torchrl.utils.output import between, page
+from bbq_torchrl.utils.output import between, needed, page
 from bbq_torchrl.utils.text import shown
 
 _KEY = "BBQ_ENDPOINT_KEY"

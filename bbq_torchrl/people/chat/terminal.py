@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.people.dialogue.judge import REASONS, Judge, card
-from bbq_torchrl.utils.extras import needed
+from bbq_torchrl.utils.output import needed
 from bbq_torchrl.utils.text import TextError, clean
 
 if TYPE_CHECKING:

@@ -15,7 +15,7 @@ from urllib.parse import urlsplit
 from bbq_torchrl.domains.frames import ANY, Frame
 from bbq_torchrl.people.language.asking import Unclear, Understood
 from bbq_torchrl.people.language.words import legible, words_of
-from bbq_torchrl.utils.extras import needed
+from bbq_torchrl.utils.output import needed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence

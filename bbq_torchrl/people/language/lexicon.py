@@ -14,7 +14,7 @@ from bbq_torchrl.domains.values import FIRST_VALUE
 from bbq_torchrl.people.language.phrases import load_phrases
 from bbq_torchrl.people.language.quantities import READERS, Kind, kind_of
 from bbq_torchrl.people.language.words import POLITE, SMALL, Span, compact, pairs, tokenize
-from bbq_torchrl.utils.extras import needed
+from bbq_torchrl.utils.output import needed
 
 if TYPE_CHECKING:
     from collections.abc import Sequence

@@ -20,7 +20,7 @@ from bbq_torchrl.domains.frames import Frame
 from bbq_torchrl.people.language.asking import FOREIGN, asked_slot
 from bbq_torchrl.people.language.sentence_features import UNKNOWN, Features
 from bbq_torchrl.people.language.words import OUTSIDE
-from bbq_torchrl.utils.extras import needed
+from bbq_torchrl.utils.output import needed
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Sequence

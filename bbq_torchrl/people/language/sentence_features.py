@@ -17,7 +17,7 @@ from bbq_torchrl.people.language.quantities import (
     RELATION_WORDS,
 )
 from bbq_torchrl.people.language.words import OUTSIDE, compact, spans_of, word_set
-from bbq_torchrl.utils.extras import needed
+from bbq_torchrl.utils.output import needed
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence

@@ -20,8 +20,7 @@ from typing import Any
 from bbq_torchrl.people.study.address import Address, listen
 from bbq_torchrl.people.study.plan import data_of, load_study
 from bbq_torchrl.utils import interruption, output
-from bbq_torchrl.utils.extras import needed
-from bbq_torchrl.utils.output import between, page
+from bbq_torchrl.utils.output import between, needed, page
 from bbq_torchrl.utils.text import shown
 
 TALKER = "bbq_torchrl.people.study.players:make_talker"

@@ -24,7 +24,7 @@ from bbq_torchrl.people.language.asking import repeated
 from bbq_torchrl.people.language.phrases import GENERIC, has_own_phrases
 from bbq_torchrl.people.language.understander import cached_understander, language_key
 from bbq_torchrl.people.study import Reply, StudyError
-from bbq_torchrl.runs.shipped import run_folder
+from bbq_torchrl.runs.folders import run_folder
 from bbq_torchrl.simulator import Simulator
 from bbq_torchrl.simulator.tracker import AgentTurn
 from bbq_torchrl.utils.output import print_error

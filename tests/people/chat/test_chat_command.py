@@ -15,7 +15,7 @@ from bbq_torchrl.domains import Goal
 from bbq_torchrl.people.chat import Partner, __main__
 from bbq_torchrl.people.chat.terminal import Chat, prompt
 from bbq_torchrl.people.dialogue.judge import Judge, choose_goal
-from bbq_torchrl.utils.extras import needed
+from bbq_torchrl.utils.output import needed
 
 
 def play(partner, goal, lines):

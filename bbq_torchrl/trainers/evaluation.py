@@ -1,30 +1,22 @@
-"""Dialogues without learning: evaluation at the end and during training, and transcripts."""
+"""Dialogues without learning: evaluation at the end and during training, and the best weights."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Collection, Iterator, Mapping
 from dataclasses import KW_ONLY, dataclass, field
-from typing import TYPE_CHECKING
+from typing import Any
 
 import torch
-from torch import nn
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor, nn
+from torchrl.envs import EnvBase
 from torchrl.envs.utils import ExplorationType
 
 from bbq_torchrl.protocols import enter_round
-from bbq_torchrl.simulator import Transcript
-from bbq_torchrl.trainers import BestWeights, EpisodeStats, Policy, episode_stats, rollouts
+from bbq_torchrl.trainers.collect import EpisodeStats, Policy, episode_stats, rollouts
 from bbq_torchrl.utils.seeds import derive_seed
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Collection, Iterator
-
-    from tensordict import TensorDictBase
-    from tensordict.nn import TensorDictModuleBase
-    from torch import Tensor
-    from torchrl.envs import EnvBase
-
-    from bbq_torchrl.envs import DialogueEnv
-    from bbq_torchrl.trainers import Policy
 
 
 def evaluate(
@@ -61,6 +53,86 @@ def evaluation_rollouts(
     env.set_seed(derive_seed(seed, "env", "evaluate"))
     greedy = ExplorationType.DETERMINISTIC
     yield from rollouts(env, policy, dialogues, max_steps=max_steps, exploration=greedy)
+
+
+class BestWeights:
+    """Stores a copy of a policy's weights for each replica at its best evaluation.
+
+    Checkpoints include it (``state_dict``), so a resumed training run knows the best of earlier
+    rounds.
+
+    Args:
+        policy: a policy with parameters [replicas, *] and constant buffers.
+        replicas: the number of replicas.
+
+    Attributes:
+        round: the round of each replica's best evaluation, int64 [replicas]; -1 before the first.
+        success_rate: the success rate in that round, float64 [replicas].
+
+    Examples:
+        >>> import torch
+        >>> policy = torch.nn.Module()
+        >>> policy.weight = torch.nn.Parameter(torch.tensor([[1.0], [1.0]]))
+        >>> best = BestWeights(policy, replicas=2)
+        >>> best.update(0, torch.tensor([0.3, 0.5]))
+        >>> _ = torch.nn.init.constant_(policy.weight, 2.0)
+        >>> best.update(1, torch.tensor([0.4, 0.2]))
+        >>> best.put_back()
+        >>> policy.weight.tolist(), best.round.tolist()
+        ([[2.0], [1.0]], [1, 0])
+    """
+
+    def __init__(self, policy: nn.Module, replicas: int) -> None:
+        self.round = torch.full((replicas,), -1)
+        self.success_rate = torch.zeros(replicas, dtype=torch.float64)
+        self._policy = policy
+        self._weights: dict[str, Tensor] = _weights(policy)
+
+    def update(self, round_number: int, success_rate: Tensor, *, since: int = 0) -> None:
+        """Copies the weights of replicas with a new best success rate.
+
+        Args:
+            round_number: the policy's round.
+            success_rate: the success rate of each replica, [replicas].
+            since: the first round that counts; an earlier best is replaced.
+        """
+        rate = success_rate.double().cpu()
+        better = (rate > self.success_rate) | (self.round < since)
+        self.round = torch.where(better, round_number, self.round)
+        self.success_rate = torch.where(better, rate, self.success_rate)
+        for name, now in _weights(self._policy).items():
+            best = self._weights[name]
+            best[better.to(best.device)] = now[better.to(now.device)]
+
+    def put_back(self) -> None:
+        """Loads the best weights into the policy.
+
+        Raises:
+            ValueError: before the first evaluation.
+        """
+        if bool((self.round < 0).any()):
+            raise ValueError("there are no best weights before the first evaluation while training")
+        self._policy.load_state_dict(self._weights, strict=False)
+
+    def state_dict(self) -> dict[str, Any]:
+        """Returns rounds, success rates and weights."""
+        return {
+            "round": self.round,
+            "success_rate": self.success_rate,
+            "weights": dict(self._weights),
+        }
+
+    def load_state_dict(self, state_dict: Mapping[str, Any]) -> None:
+        """Restores the state from :meth:`state_dict`."""
+        self.round = state_dict["round"].clone()
+        self.success_rate = state_dict["success_rate"].clone()
+        for name, best in self._weights.items():
+            best.copy_(state_dict["weights"][name])
+
+
+def _weights(policy: nn.Module) -> dict[str, Tensor]:
+    """Returns copies of a policy's parameters by name."""
+    return {name: weight.detach().clone() for name, weight in policy.named_parameters()}
 
 
 _COLUMNS = ("eval_success_rate", "eval_reward", "eval_turns")
@@ -114,44 +186,3 @@ class RoundEvaluator:
         since = max((change for change in self.changes if change <= round_number), default=0)
         self.best.update(round_number, means[0], since=since)
         return dict(zip(_COLUMNS, means, strict=True))
-
-
-def transcripts(env: DialogueEnv, policy: Policy, dialogues: int, *, seed: int = 0) -> list[str]:
-    """Plays dialogues and returns them as texts, a line for each turn.
-
-    They are the first dialogues of :func:`evaluate` with the same environment and seed, of the
-    first replica.
-
-    Args:
-        env: batch size [replicas, dialogues in parallel].
-        policy: writes an action.
-        dialogues: number of dialogues.
-        seed: seed of policy and environment.
-    """
-    transcript = Transcript(env.simulator.domain)
-    states: list[TensorDictBase] = []
-    texts: list[str] = []
-
-    def recorded(tensordict: TensorDictBase) -> TensorDictBase:
-        states.append(env.dialogues[0].cpu())
-        return policy(tensordict)
-
-    if isinstance(policy, nn.Module):
-        policy.eval()
-    for rollout in evaluation_rollouts(env, recorded, dialogues, seed=seed):
-        states.append(env.dialogues[0].cpu())
-        for place in range(rollout.batch_size[-2]):
-            texts.append(_text(transcript, len(texts), [state[place] for state in states]))
-        states.clear()
-    return texts
-
-
-def _text(transcript: Transcript, number: int, states: list[TensorDictBase]) -> str:
-    """Returns the text of a dialogue: goal, turns and outcome."""
-    lines = [f"dialogue {number + 1}: {transcript.goal(states[0])}"]
-    for state in states:
-        lines += [f"  {line}" for line in transcript.lines(state)]
-        if bool(state["done"]):
-            lines.append("  success" if bool(state["success"]) else "  failure")
-            break
-    return "\n".join(lines) + "\n"
