@@ -12,7 +12,7 @@ from bbq_torchrl.utils.text import shown
 COMMANDS = {
     "train": ("bbq_torchrl.runs.train", "train an agent and evaluate it, or many (--multirun)"),
     "evaluate": ("bbq_torchrl.cli.evaluate", "play dialogues with a run or a scripted policy"),
-    "search": ("bbq_torchrl.search.definition", "search for hyper-parameters"),
+    "search": ("bbq_torchrl.search", "search for hyper-parameters"),
     "report": ("bbq_torchrl.evaluation.compare_runs", "compare finished runs over their seeds"),
     "bench": ("bbq_torchrl.cli.bench", "compare agents on domains, error levels and seeds"),
     "domains": ("bbq_torchrl.cli.calibrate", "import a corpus as a domain, calibrate a domain"),

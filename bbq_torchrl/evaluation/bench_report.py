@@ -20,9 +20,9 @@ from bbq_torchrl.evaluation.finished_runs import read_runs
 from bbq_torchrl.evaluation.groups import difference
 from bbq_torchrl.utils.reports import Report, Table
 from bbq_torchrl.utils.statistics import (
-    Estimate,
+    bootstrapped,
     estimate,
-    interquartile_mean,
+    estimate_iqm,
     pass_k,
     performance_profile,
     probability_of_improvement,
@@ -169,14 +169,10 @@ def _scores(
     return np.array([[row[column] for row in cells[agent, one]] for one in settings])
 
 
-def _iqm(scores: Any) -> Any:
-    return interquartile_mean(scores.reshape(*scores.shape[:-2], -1))
-
-
 def _over_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
     rows: list[Row] = [
         {"agent": agent}
-        | {f"IQM of {name}": _bootstrapped(_iqm, of[agent]) for name, of in scores.items()}
+        | {f"IQM of {name}": estimate_iqm(of[agent]) for name, of in scores.items()}
         for agent in next(iter(scores.values()))
     ]
     return Table("over", rows)
@@ -188,15 +184,10 @@ def _pairs_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
         row: Row = {"agents": f"{one} over {other}"}
         for name, of in scores.items():
             both = of[one], of[other]
-            row[f"P({name})"] = _bootstrapped(probability_of_improvement, *both)
+            row[f"P({name})"] = bootstrapped(probability_of_improvement, *both)
             row[f"{name} by pairs"] = difference((both[0] - both[1]).mean(0).tolist())
         rows.append(row)
     return Table("pairs", rows)
-
-
-def _bootstrapped(statistic: Callable[..., Any], *scores: Any) -> Estimate:
-    low, high = stratified(statistic, *scores)
-    return Estimate(float(statistic(*scores)), float(low), float(high))
 
 
 def _profile(scores: Any) -> Any:

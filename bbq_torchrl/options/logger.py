@@ -29,7 +29,7 @@ from bbq_torchrl.utils.output import install_command, sqlite_url
 from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
+    from collections.abc import Callable, Mapping, Sequence
 
     from torchrl.record.loggers import Logger
 
@@ -46,59 +46,51 @@ class LoggerOption(Option):
     """The package that the logger needs; for ours also the name of its extra. May be empty."""
 
     @abstractmethod
-    def make(self, run_folder: Path, *, resume: bool = False) -> list[Logger]:
-        """Makes the TorchRL loggers of a run.
+    def make(self, run_folder: Path, *, resume: bool = False) -> Logger | None:
+        """Makes the TorchRL logger of a run.
 
         Args:
-            run_folder: their output folder.
+            run_folder: its output folder.
             resume: whether the run continues one of an earlier process.
         """
 
-    def log_config(self, loggers: Iterable[Logger], config: Mapping[str, Any]) -> None:
+    def log_config(self, logger: Logger, config: Mapping[str, Any]) -> None:
         """Logs the configuration, before the first round.
 
         Args:
-            loggers: the loggers of :meth:`make`.
+            logger: the logger of :meth:`make`.
             config: values by dotted key, such as ``agent.lr``.
         """
-        for logger in loggers:
-            logger.log_hparams(dict(config))
+        logger.log_hparams(dict(config))
 
-    def log_round(
-        self, loggers: Iterable[Logger], metrics: Mapping[str, float], *, round: int
-    ) -> None:
+    def log_round(self, logger: Logger, metrics: Mapping[str, float], *, round: int) -> None:
         """Logs the metrics of a round.
 
         Args:
-            loggers: the loggers of :meth:`make`.
+            logger: the logger of :meth:`make`.
             metrics: the metrics by name, such as ``success_rate/replica_0``.
             round: the round, counted from 0.
         """
-        for logger in loggers:
-            logger.log_metrics(dict(metrics), step=round)
+        logger.log_metrics(dict(metrics), step=round)
 
-    def log_result(
-        self, loggers: Iterable[Logger], result: Mapping[str, float], *, rounds: int
-    ) -> None:
+    def log_result(self, logger: Logger, result: Mapping[str, float], *, rounds: int) -> None:
         """Logs the final result.
 
         Args:
-            loggers: the loggers of :meth:`make`.
+            logger: the logger of :meth:`make`.
             result: the numbers of ``result.json``, such as ``result/success_rate``.
             rounds: rounds of the training, which is the step of the result.
         """
-        for logger in loggers:
-            logger.log_metrics(dict(result), step=rounds)
+        logger.log_metrics(dict(result), step=rounds)
 
-    def close(self, loggers: Iterable[Logger], *, finished: bool) -> None:
-        """Closes the loggers. Called once for each run, also after an error.
+    def close(self, logger: Logger, *, finished: bool) -> None:
+        """Closes the logger. Called once for each run, also after an error.
 
         Args:
-            loggers: the loggers of :meth:`make`.
+            logger: the logger of :meth:`make`.
             finished: whether the run has a result.
         """
-        for logger in loggers:
-            logger.close()
+        logger.close()
 
     def reach(self) -> None:
         """Reaches the server or database of the logger; any error refuses the run."""
@@ -127,9 +119,9 @@ class CSV(LoggerOption):
 
     name: str = option("csv")
 
-    def make(self, run_folder: Path, *, resume: bool = False) -> list[Logger]:
+    def make(self, run_folder: Path, *, resume: bool = False) -> Logger | None:
         """Makes no logger: metrics.csv is always written."""
-        return []
+        return None
 
 
 @register
@@ -140,17 +132,16 @@ class TensorBoard(LoggerOption):
     name: str = option("tensorboard")
     package: ClassVar[str] = "tensorboard"
 
-    def make(self, run_folder: Path, *, resume: bool = False) -> list[Logger]:
+    def make(self, run_folder: Path, *, resume: bool = False) -> Logger | None:
         """Makes a logger that writes ``tensorboard/``."""
         from torchrl.record.loggers.tensorboard import TensorboardLogger
 
-        return [TensorboardLogger("tensorboard", str(run_folder.resolve()))]
+        return TensorboardLogger("tensorboard", str(run_folder.resolve()))
 
-    def log_config(self, loggers: Iterable[Logger], config: Mapping[str, Any]) -> None:
+    def log_config(self, logger: Logger, config: Mapping[str, Any]) -> None:
         """Logs the configuration as a text; as hyper-parameters it would be a separate run."""
         text = "\n".join(f"    {key}: {value}" for key, value in config.items())
-        for logger in loggers:
-            logger.experiment.add_text("config", text)
+        logger.experiment.add_text("config", text)
 
 
 @register
@@ -169,7 +160,7 @@ class WandB(LoggerOption):
         if wandb.setup().settings.mode == "online":
             wandb.login(verify=True)
 
-    def make(self, run_folder: Path, *, resume: bool = False) -> list[Logger]:
+    def make(self, run_folder: Path, *, resume: bool = False) -> Logger | None:
         """Makes a logger that writes ``wandb/`` and the run's id, which a resumed run reuses."""
         from torchrl.record.loggers.wandb import WandbLogger
 
@@ -190,26 +181,19 @@ class WandB(LoggerOption):
         )
         write_text(run_id, str(logger.experiment.id))
         logger.experiment.define_metric("*", step_metric="round")
-        return [logger]
+        return logger
 
-    def log_round(
-        self, loggers: Iterable[Logger], metrics: Mapping[str, float], *, round: int
-    ) -> None:
+    def log_round(self, logger: Logger, metrics: Mapping[str, float], *, round: int) -> None:
         """Logs the metrics over the round; TorchRL would add a chart of steps for each."""
-        for logger in loggers:
-            logger.experiment.log({**metrics, "round": round})
+        logger.experiment.log({**metrics, "round": round})
 
-    def log_result(
-        self, loggers: Iterable[Logger], result: Mapping[str, float], *, rounds: int
-    ) -> None:
+    def log_result(self, logger: Logger, result: Mapping[str, float], *, rounds: int) -> None:
         """Adds the final result to the summary; the history has the rounds."""
-        for logger in loggers:
-            logger.experiment.summary.update(dict(result))
+        logger.experiment.summary.update(dict(result))
 
-    def close(self, loggers: Iterable[Logger], *, finished: bool) -> None:
+    def close(self, logger: Logger, *, finished: bool) -> None:
         """Ends W&B's run, as failed if it has no result."""
-        for logger in loggers:
-            logger.experiment.finish(exit_code=int(not finished))
+        logger.experiment.finish(exit_code=int(not finished))
 
 
 _ADDRESS = "MLFLOW_TRACKING_URI"
@@ -249,7 +233,7 @@ class MLFlow(LoggerOption):
             if client.get_experiment_by_name(self.experiment) is None:
                 client.create_experiment(self.experiment)
 
-    def make(self, run_folder: Path, *, resume: bool = False) -> list[Logger]:
+    def make(self, run_folder: Path, *, resume: bool = False) -> Logger | None:
         """Starts a run, in ``mlflow.db`` unless the environment has another address."""
         import mlflow
         from torchrl.record.loggers.mlflow import MLFlowLogger
@@ -261,9 +245,9 @@ class MLFlow(LoggerOption):
         if not given:
             os.environ.pop(_ADDRESS, None)  # set by MLflow; the next run has another database
         mlflow.set_tag("mlflow.runName", folder.name)
-        return [logger]
+        return logger
 
-    def close(self, loggers: Iterable[Logger], *, finished: bool) -> None:
+    def close(self, logger: Logger, *, finished: bool) -> None:
         """Ends MLflow's run, and restores MLflow's address."""
         import mlflow
 
@@ -274,29 +258,28 @@ class MLFlow(LoggerOption):
 
 
 class RunLogger:
-    """The loggers of a run, opened and closed by ``with``.
+    """The logger of a run, opened and closed by ``with``.
 
-    At their first error they are given up with a warning, since metrics.csv has everything.
+    At its first error it is given up with a warning, since metrics.csv has everything.
 
     Args:
         config: the run's configuration, which is logged.
         run_folder: the run folder.
 
     Raises:
-        ConfigError: the loggers cannot be made.
+        ConfigError: the logger cannot be made.
     """
 
     def __init__(self, config: Any, run_folder: Path) -> None:
-        self._config, self._option, self._works = config, config.logger, True
+        self._config, self._option = config, config.logger
         try:
-            made = self._option.make(run_folder, resume=config.resume is not None)
+            self._logger = self._option.make(run_folder, resume=config.resume is not None)
         except Exception as error:
             raise ConfigError(f"logger={self._option.name} cannot begin: {error}") from error
-        self._loggers = tuple(made)
 
     def __enter__(self) -> RunLogger:
         flat = {key: value for key, _, value in walk(self._config) if key != "resume"}
-        self._try(self._option.log_config, self._loggers, flat)
+        self._try(self._option.log_config, flat)
         return self
 
     def log_round(self, _: object, rows: Sequence[Mapping[str, float]]) -> None:
@@ -307,25 +290,24 @@ class RunLogger:
             for name, value in row.items()
             if name not in ("round", "replica") and value == value
         }
-        self._try(self._option.log_round, self._loggers, metrics, round=rows[0]["round"])
+        self._try(self._option.log_round, metrics, round=rows[0]["round"])
 
     def log_result(self, result: Mapping[str, float], rounds: int) -> None:
         """Logs the numbers of the final result."""
-        self._try(self._option.log_result, self._loggers, result, rounds=rounds)
+        self._try(self._option.log_result, result, rounds=rounds)
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        if self._works:
-            self._try(self._option.close, self._loggers, finished=kind is None)
-        else:
-            with suppress(Exception):
-                self._option.close(self._loggers, finished=False)
+        self._try(self._option.close, finished=kind is None)
 
     def _try(self, log: Callable[..., object], *given: Any, **more: Any) -> None:
+        if (logger := self._logger) is None:
+            return
         try:
-            if self._works:
-                log(*given, **more)
+            log(logger, *given, **more)
         except Exception as error:
-            self._works = False
+            self._logger = None
+            with suppress(Exception):
+                self._option.close(logger, finished=False)
             _LOG.warning(
                 "logger=%s failed and is given up, %s has everything: %s",
                 *(self._option.name, METRICS, sentence(error)),

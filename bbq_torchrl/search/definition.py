@@ -1,4 +1,4 @@
-"""``bbq search``: the command, and the configuration of a search: space, fixed keys, objective.
+"""The configuration of a search: space, fixed keys and objective.
 
 ``conf/search/<name>.yaml`` has the space and the fixed keys; the command line can change both::
 
@@ -11,9 +11,7 @@ all trials share. An entry of the space has the arguments of Optuna's ``suggest_
 from __future__ import annotations
 
 import json
-import logging
 import re
-import sys
 from dataclasses import dataclass
 from functools import cached_property
 from os.path import expanduser
@@ -21,11 +19,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from omegaconf import DictConfig, OmegaConf
-from omegaconf.errors import OmegaConfBaseException
-from yaml import YAMLError
 
 from bbq_torchrl.options.registry import config_folders, options
-from bbq_torchrl.runs.compose import compose, take_config_dir
+from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.settings import (
     ANY_TEXT,
     BELOW_ONE,
@@ -39,9 +35,6 @@ from bbq_torchrl.settings import (
     optional,
     setting,
 )
-from bbq_torchrl.utils import interruption, output
-from bbq_torchrl.utils.output import needed, page
-from bbq_torchrl.utils.text import sentence
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -50,21 +43,6 @@ if TYPE_CHECKING:
 
 SEARCH = "search"
 """Prefix of the search's keys, and the folder of its YAML files."""
-
-
-USAGE = """\
-usage: bbq search search=<name> [search.<key>=<value> ...] [<key>=<value> ...]
-
-Searches hyper-parameters by Optuna. Every trial is a run of bbq train with the given keys; the same
-command continues a search. Prints the best trial as one line of JSON.
-
-  search=      {names}, or a YAML file
-  search.trials=, search.objective=, search.folder=, ...
-  search.space.<key>={{type: float, low: 0.1, high: 1, log: true}}, search.space.<key>.high=2
-
-Searches: {scale}
-All keys, of a search and of bbq train: {keys}
-"""
 
 
 @dataclass
@@ -263,41 +241,3 @@ def _checked_entry(key: str, entry: dict[str, Any]) -> dict[str, Any]:
 
 def _override(key: str, value: Any) -> str:
     return f"{key}={value if isinstance(value, str) else json.dumps(value)}"
-
-
-@output.refusing
-def main(arguments: Sequence[str] | None = None) -> int:
-    """Runs the command line.
-
-    Returns:
-        The exit code: 1 if no trial was completed or a file could not be written, 2 if refused.
-    """
-    arguments = sys.argv[1:] if arguments is None else list(arguments)
-    interruption.tell(lambda: "in a search", lambda: "the same command continues the search")
-    if not arguments or {"-h", "--help"} & set(arguments):
-        pages = {"scale": page("scale"), "keys": page("configuration")}
-        output.write(USAGE.format(names=", ".join(options(SEARCH)), **pages))
-        return 0
-    # Imported after the help, since torch, torchrl and Optuna take seconds.
-    optuna = needed("optuna", "optuna", "search")
-    try:
-        search = compose_search(take_config_dir(arguments))
-        from bbq_torchrl.runs.build import check_resources
-        from bbq_torchrl.runs.train import run
-        from bbq_torchrl.search.trials import run_search
-
-        for config in search.corners:
-            check_resources(config)
-        logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
-        optuna.logging.set_verbosity(optuna.logging.ERROR)
-        best = run_search(search, run, check_resources)
-    except interruption.Interrupted:
-        output.print_error(interruption.line())
-        return interruption.exit_code()
-    except (OmegaConfBaseException, YAMLError, optuna.exceptions.StorageInternalError) as error:
-        raise ConfigError(sentence(error)) from error
-    if best is None:
-        output.print_error(f"error: no trial was completed; {search.folder} has the reasons")
-        return 1
-    output.write(json.dumps(best) + "\n")
-    return 0

@@ -8,7 +8,6 @@ Dialogues of one seed are not independent. The standard error over dialogues
 from __future__ import annotations
 
 import math
-import warnings
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -24,7 +23,6 @@ CONFIDENCE = 0.95
 ALPHA = 0.05
 """Significance level of every test."""
 
-RESAMPLES = 9_999
 MIN_BOOTSTRAP = 5
 """Minimum number of seeds for a bootstrap: fewer give too few distinct samples."""
 
@@ -138,42 +136,6 @@ def estimate(
     mean = float(data.mean())
     half = float(stats.t.ppf((1 + CONFIDENCE) / 2, data.size - 1) * stats.sem(data))
     return Estimate(mean, max(least, mean - half), min(most, mean + half), spec)
-
-
-def estimate_iqm(values: Sequence[float]) -> Estimate:
-    """Returns the interquartile mean over training seeds with its 95 % bootstrap interval.
-
-    The bootstrap is bias-corrected and accelerated (BCa, ``scipy.stats.bootstrap``), or by
-    percentiles where BCa is undefined. Fewer than five seeds have no interval.
-
-    Args:
-        values: one value per seed.
-
-    Raises:
-        ValueError: no values, or a value that is not finite.
-
-    Examples:
-        >>> print(estimate_iqm([0.7, 0.72, 0.74, 0.76, 0.78]))
-        0.740 [0.707, 0.773]
-    """
-    data = _finite(values)
-    value = float(interquartile_mean(data))
-    if data.size < MIN_BOOTSTRAP:
-        return Estimate(value)
-    for method in ("BCa", "percentile"):  # BCa is undefined if all values are equal, for example
-        with warnings.catch_warnings():
-            warnings.simplefilter("ignore")
-            interval = stats.bootstrap(
-                (data,),
-                interquartile_mean,
-                n_resamples=RESAMPLES,
-                confidence_level=CONFIDENCE,
-                method=method,
-                rng=np.random.default_rng(0),
-            ).confidence_interval
-        if math.isfinite(interval.low) and math.isfinite(interval.high):
-            break
-    return Estimate(value, float(interval.low), float(interval.high))
 
 
 def _finite(values: Sequence[float]) -> Any:
@@ -299,3 +261,25 @@ def stratified(statistic: Callable[..., Any], *scores: Any, resamples: int = 2_0
     ends = np.quantile(statistic(*drawn), [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2], axis=0)
     enough = min(np.shape(group)[-1] for group in scores) >= MIN_BOOTSTRAP
     return ends if enough else np.full_like(ends, np.nan)
+
+
+def bootstrapped(statistic: Callable[..., Any], *scores: Any) -> Estimate:
+    """Returns a statistic of groups with its interval by :func:`stratified`, with its arguments."""
+    low, high = stratified(statistic, *scores)
+    return Estimate(float(statistic(*map(np.asarray, scores))), float(low), float(high))
+
+
+def estimate_iqm(scores: Any) -> Estimate:
+    """Returns the interquartile mean over seeds with its 95 % bootstrap interval.
+
+    Args:
+        scores: a value per seed, shape [seeds] or [settings, seeds].
+
+    Examples:
+        >>> print(estimate_iqm([0.7, 0.72, 0.74, 0.76, 0.78]))
+        0.740 [0.713, 0.773]
+    """
+    return bootstrapped(
+        lambda drawn: interquartile_mean(drawn.reshape(*drawn.shape[:-2], -1)),
+        np.atleast_2d(scores),
+    )

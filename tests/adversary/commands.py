@@ -13,7 +13,7 @@ from bbq_torchrl.utils import interruption
 PROGRAMS = {
     "train": "train",
     "evaluate": "bbq_torchrl.cli.evaluate",
-    "search": "bbq_torchrl.search.definition",
+    "search": "bbq_torchrl.search",
     "domains": "bbq_torchrl.cli.calibrate",
     "report": "bbq_torchrl.evaluation.compare_runs",
     "bench": "bbq_torchrl.cli.bench",

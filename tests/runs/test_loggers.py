@@ -73,7 +73,7 @@ class Own(LoggerOption):
 
     def make(self, run_folder, *, resume=False):
         RECORDED[run_folder] = Recorder(run_folder)
-        return [RECORDED[run_folder]]
+        return RECORDED[run_folder]
 
 
 def of_recorder(folder):
@@ -135,8 +135,8 @@ def test_two_runs_of_a_process_are_two_of_the_logger(name, read, tmp_path):
 def test_what_closes_a_logger_is_told_whether_the_run_has_finished(tmp_path, monkeypatch):
     closed = []
 
-    def close(self, loggers, *, finished):
-        closed.append((list(loggers), finished))
+    def close(self, logger, *, finished):
+        closed.append((logger, finished))
 
     def fail(trainer, rows):
         raise TrainingError("the loss is not finite")
@@ -149,7 +149,7 @@ def test_what_closes_a_logger_is_told_whether_the_run_has_finished(tmp_path, mon
             run(config, tmp_path / "failed", [fail])
         run(config, tmp_path / "finished")
     assert [finished for _, finished in closed] == [False, True]
-    assert [made for (made,), _ in closed] == list(RECORDED.values())[-2:]
+    assert [made for made, _ in closed] == list(RECORDED.values())[-2:]
 
 
 def fail(*_, **__):

@@ -8,7 +8,7 @@ import pytest
 from tiny import TINY, rows
 
 from bbq_torchrl.runs.folders import run_config
-from bbq_torchrl.search.definition import main
+from bbq_torchrl.search import main
 
 pytest.importorskip("optuna", reason="needs the extra search")
 
