@@ -71,16 +71,25 @@ class Config:
 
 
 @dataclass
-class EvaluateConfig:
-    """An evaluation: the root of the configuration of ``bbq evaluate``."""
+class _Played:
+    """The keys of commands that play dialogues without learning."""
 
     env: EnvOption = REQUIRED  # type: ignore[assignment]
     domain: DomainOption = REQUIRED  # type: ignore[assignment]
+    batch: int = setting(2_500, BATCH, "dialogues played in parallel")
+    seed: int = setting(0, SEED, "seed of all random numbers")
+    device: str = setting("cpu", DEVICE, "device of all tensors")
+    threads: int = setting(1, THREADS, "CPU threads of torch")
+
+
+@dataclass
+class EvaluateConfig(_Played):
+    """An evaluation: the root of the configuration of ``bbq evaluate``."""
+
     policy: str = setting(
         REQUIRED, ANY_TEXT, "random, clairvoyant, a script, a run folder, or shipped:<name>"
     )
     dialogues: int = setting(10_000, PLAYED, "dialogues played, by each replica of a run folder")
-    batch: int = setting(2_500, BATCH, "dialogues played in parallel")
     mode: str | None = setting(
         None, optional(ANY_TEXT, "the agent's default"), "mean, average, draw or thompson, for bbqn"
     )
@@ -89,24 +98,15 @@ class EvaluateConfig:
     )
     log: str | None = setting(None, optional(ANY_TEXT, "none"), "file for readable dialogues")
     log_dialogues: int = setting(10, COUNT, "dialogues written to log")
-    seed: int = setting(0, SEED, "seed of all random numbers")
-    device: str = setting("cpu", DEVICE, "device of all tensors")
-    threads: int = setting(1, THREADS, "CPU threads of torch")
 
 
 @dataclass
-class CalibrateConfig:
+class CalibrateConfig(_Played):
     """The root of the configuration of ``bbq domains calibrate``."""
 
-    env: EnvOption = REQUIRED  # type: ignore[assignment]
-    domain: DomainOption = REQUIRED  # type: ignore[assignment]
     policy: str = setting("rule", ANY_TEXT, "scripted policy of the domain")
     success: float = setting(0.183, PROBABILITY, "success rate to calibrate for")
     dialogues: int = setting(100_000, PLAYED, "dialogues played for each probability tried")
-    batch: int = setting(2_500, BATCH, "dialogues played in parallel")
-    seed: int = setting(0, SEED, "seed of all random numbers")
-    device: str = setting("cpu", DEVICE, "device of all tensors")
-    threads: int = setting(1, THREADS, "CPU threads of torch")
 
 
 _AGREEMENTS: dict[str, Callable[[Config], None]] = {}

@@ -79,30 +79,23 @@ def final_result(
     check_weights(policy, folder)
     played = _played(config, env, policy, protocol.eval_dialogues)
     RunFolderGoneError.check(folder)
-    metrics = Metrics(rows)
-    training_success = metrics.training_success
+    metrics, values = Metrics(rows), replica_values(config)
     evaluated: list[TrainingEvaluation | None] = [None] * config.replicas
     if trainer.evaluator is not None:
-        rates = metrics["eval_success_rate"]
-        best = trainer.evaluator.best
-        evaluated = [
-            training_evaluation(rates[:, replica], float(rate), int(number))
-            for replica, (rate, number) in enumerate(
-                zip(best.success_rate.tolist(), best.round.tolist(), strict=True)
-            )
-        ]
-    values = replica_values(config)
+        rates, best = metrics["eval_success_rate"].T, trainer.evaluator.best
+        bests = best.success_rate.tolist(), best.round.tolist()
+        evaluated = [training_evaluation(*found) for found in zip(rates, *bests, strict=True)]
     per_replica = [
         replica_result(
             replica,
             played.success[replica].tolist(),
             played.reward[replica].tolist(),
             played.turns[replica].tolist(),
-            float(training_success[replica]),
-            values[replica],
-            evaluated[replica],
+            *others,
         )
-        for replica in range(config.replicas)
+        for replica, others in enumerate(
+            zip(metrics.training_success.tolist(), values, evaluated, strict=True)
+        )
     ]
     result = RunResult.of(
         per_replica,

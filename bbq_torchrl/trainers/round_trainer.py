@@ -6,7 +6,6 @@ import logging
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
-from contextlib import closing
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -174,10 +173,9 @@ class RoundTrainer:
             RunFolderGoneError: if the run folder is moved or removed during training.
         """
         self.begin(resume=resume)
-        bar = RoundProgress(self.rounds, done=self.rounds_done, name=self.run_folder.name)
-        with closing(bar):
-            while self.rounds_done < self.rounds and not self._stops:
-                bar.update(self.train_round())
+        progress = RoundProgress(self.rounds, done=self.rounds_done, name=self.run_folder.name)
+        while self.rounds_done < self.rounds and not self._stops:
+            progress.update(self.train_round())
         if self.rounds_saved < self.rounds_done:
             self._save()
         return list(self.metrics.rows)
@@ -260,8 +258,15 @@ class RoundTrainer:
             **({} if self.evaluator is None else {"seconds_eval": ended - learned_at}),
         }
         counted = {"buffer": self.replay.lengths, "updates": self.learner.sums.updates}
-        return _merged(
-            {"dialogues": self.dialogues}, collected, evaluated, learned, counted, metrics, seconds
+        # A call, not a display, as two metrics of one name are an error.
+        return dict(
+            dialogues=self.dialogues,
+            **collected,
+            **evaluated,
+            **learned,
+            **counted,
+            **metrics,
+            **seconds,
         )
 
     def _collect(self, round_number: int) -> dict[str, Tensor]:
@@ -318,23 +323,3 @@ class RoundTrainer:
 
 RoundCallback = Callable[[RoundTrainer, "Sequence[MetricRow]"], None]
 """A function called after every round with the trainer and the round's rows."""
-
-
-def _merged(
-    *parts: Mapping[str, float | Tensor | Sequence[float]],
-) -> dict[str, float | Tensor | Sequence[float]]:
-    """Merges columns of several owners.
-
-    Raises:
-        TrainingError: if two owners have a column of the same name.
-    """
-    columns: dict[str, float | Tensor | Sequence[float]] = {}
-    for part in parts:
-        for name, column in part.items():
-            if name in columns or name in ("round", "replica"):
-                raise TrainingError(
-                    f"{name!r} is the name of two metrics: that of the loss, policy or evaluator "
-                    "needs another name"
-                )
-            columns[name] = column
-    return columns
