@@ -162,7 +162,6 @@ def evaluation(config: EvaluateConfig) -> dict[str, Any]:
         "success_rate_per_replica": per_replica if replicas > 1 else None,
         "values_per_replica": values if any(values) else None,
         "skipped": None if domain is None else domain.skipped or None,
-        "doubts": None if domain is None else domain.doubts or None,
     }
     return {key: value for key, value in line.items() if value is not None}
 

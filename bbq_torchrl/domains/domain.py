@@ -134,7 +134,6 @@ class Domain:
         error_values: slot to the values that an error can substitute, drawn uniformly (a value
             listed twice is drawn twice as often).
         skipped: the parts of a corpus that a loader left out, as sentences for the reports.
-        doubts: likely typing errors of a corpus that a loader kept, as sentences.
         folder: the folder that the domain was loaded from, which may also have phrases and measured
             errors; ``None`` for a domain built in memory. Comparisons ignore it.
 
@@ -160,7 +159,6 @@ class Domain:
     goals: tuple[Goal, ...]
     error_values: Mapping[str, tuple[str, ...]]
     skipped: tuple[str, ...] = ()
-    doubts: tuple[str, ...] = ()
     folder: Path | None = field(default=None, compare=False, repr=False)
 
     def __post_init__(self) -> None:

@@ -15,7 +15,6 @@ from typing import TYPE_CHECKING, Any, NoReturn
 
 from bbq_torchrl.domains.domain import Domain, DomainError, Fault, Goal, Source, sentences
 from bbq_torchrl.domains.folder import content_of, shipped_domain
-from bbq_torchrl.domains.values import DIFFERENCE, misspellings
 from bbq_torchrl.settings import (
     MAPPING,
     REQUIRED,
@@ -30,7 +29,7 @@ from bbq_torchrl.settings import (
 from bbq_torchrl.utils.text import FaultsError, sentence
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping, Sequence
+    from collections.abc import Iterable, Mapping, Sequence
 
     from bbq_torchrl.domains.folder import Corpus
 
@@ -98,7 +97,7 @@ def load_miulab(
     Some of the public files, though not the default ones, contain unusable entries: goals that
     constrain and request the same slot, or unknown slots. They are left out and listed in the
     domain's ``skipped``. Values that differ only in blanks and the like are kept although they
-    never match; ``doubts`` lists them.
+    never match.
 
     Args:
         path: the folder with the three files.
@@ -171,16 +170,13 @@ def fitted(
     """
     usable, skipped = corpus, list[str]()
     while True:
-        sources = {
-            field: Source(files[field].name, unit, list(usable[field]))
-            for field, unit in _UNITS.items()
-        }
-        content = content_of(usable)
-        doubts = sentences(_doubts(content), sources)
         try:
-            told = {"skipped": tuple(skipped), "doubts": tuple(doubts)}
-            return Domain(**{**own, **content, **told})
+            return Domain(**{**own, **content_of(usable), "skipped": tuple(skipped)})
         except DomainError as error:
+            sources = {
+                field: Source(files[field].name, unit, list(usable[field]))
+                for field, unit in _UNITS.items()
+            }
             left = _without(usable, error.found, own["slots"])
             skipped += sentences(error.found, sources)
             if left == usable or not skip_unusable:
@@ -209,14 +205,6 @@ def _without(corpus: Corpus, found: Iterable[Fault], slots: Sequence[str]) -> Co
         field: {key: entry for key, entry in entries.items() if entry}
         for field, entries in left.items()
     }
-
-
-def _doubts(content: Mapping[str, Any]) -> Iterator[Fault]:
-    """Yields the values that never match others, with one example per file."""
-    texts: dict[str, str] = {}
-    for item in misspellings(**content):
-        text = f"some values differ from others of their slot {DIFFERENCE}, such as {item}"
-        yield Fault(item.field, texts.setdefault(item.field, text), item.entry)
 
 
 def read_plain_pickle(path: str | Path) -> Any:

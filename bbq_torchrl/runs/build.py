@@ -188,11 +188,9 @@ def find_spike_policy(config: Config, domain: Domain | None) -> str | None:
 
 
 def log_domain(config: Config, domain: Domain) -> None:
-    """Logs skipped and doubtful parts of the corpus, and slots that are never active."""
+    """Logs skipped parts of the corpus, and slots that are never active."""
     for text in domain.skipped:
         _LOG.warning("left out of the domain %s: %s", domain.name, text)
-    for text in domain.doubts:
-        _LOG.warning("in the domain %s: %s", domain.name, text)
     active = {*(domain.essential + domain.extension_order if config.env.extends else domain.slots)}
     inactive = {*domain.slots} - active
     named = [{*goal.constraints, *goal.requests} for goal in domain.goals]
