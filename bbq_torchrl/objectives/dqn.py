@@ -15,8 +15,7 @@ from torchrl.modules import QValueActor
 from bbq_torchrl.bayes.scope import WeightMode
 from bbq_torchrl.networks.mlp import noisy_layers
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
-from bbq_torchrl.objectives.td_loss import td_loss
-from bbq_torchrl.objectives.weighting import normalized_weights
+from bbq_torchrl.objectives.td_loss import normalized_weights, td_loss
 
 
 class DropoutDQNLoss(OneStepQLoss):

@@ -13,7 +13,7 @@ from torchrl.modules import QValueActor
 from bbq_torchrl.networks.gaussian_process import GaussianProcess, inverse_root
 from bbq_torchrl.networks.q_actor import legal_actions, masked
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
-from bbq_torchrl.objectives.weighting import valid_rows
+from bbq_torchrl.objectives.td_loss import valid_rows
 from bbq_torchrl.settings import ABOVE_ZERO, at_least, check, one_of
 
 Target = Literal["mean", "draw"]

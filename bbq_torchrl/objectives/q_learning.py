@@ -21,9 +21,15 @@ from torchrl.objectives.utils import ValueEstimators
 from bbq_torchrl.bayes.functional import checked_number, replicas_of
 from bbq_torchrl.bayes.scope import WeightMode
 from bbq_torchrl.networks.q_actor import legal_actions, masked
-from bbq_torchrl.objectives.td_loss import DISTANCE, Distance, margin_loss, td_loss
+from bbq_torchrl.objectives.td_loss import (
+    DISTANCE,
+    Distance,
+    margin_loss,
+    normalized_weights,
+    row_entry,
+    td_loss,
+)
 from bbq_torchrl.objectives.value_function import Inputs, ValueFunction
-from bbq_torchrl.objectives.weighting import normalized_weights, row_entry
 from bbq_torchrl.settings import ABOVE_ZERO, PROBABILITY, check
 
 

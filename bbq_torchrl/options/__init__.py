@@ -9,13 +9,11 @@ from __future__ import annotations
 
 from bbq_torchrl.options.agent import AgentOption
 from bbq_torchrl.options.env import DomainOption, EnvOption
-from bbq_torchrl.options.explore import Exploration, ExploreOption
-from bbq_torchrl.options.intrinsic import IntrinsicOption
+from bbq_torchrl.options.explore import Exploration, ExploreOption, IntrinsicOption
 from bbq_torchrl.options.logger import LoggerOption
-from bbq_torchrl.options.protocol import ProtocolOption
+from bbq_torchrl.options.protocol import ProtocolOption, SpikeOption
 from bbq_torchrl.options.registry import Option, explorations, register, schemas
 from bbq_torchrl.options.root import CalibrateConfig, Config, EvaluateConfig, agreement, validate
-from bbq_torchrl.options.spike import SpikeOption
 from bbq_torchrl.options.task import Task
 
 __all__ = [

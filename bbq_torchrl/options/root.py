@@ -14,12 +14,10 @@ from typing import Any
 
 from bbq_torchrl.options.agent import BBQN, DQN, GP, AgentOption
 from bbq_torchrl.options.env import DomainOption, EnvOption, FullDomain
-from bbq_torchrl.options.explore import ExploreOption
-from bbq_torchrl.options.intrinsic import IntrinsicOption
+from bbq_torchrl.options.explore import ExploreOption, IntrinsicOption
 from bbq_torchrl.options.logger import LoggerOption
-from bbq_torchrl.options.protocol import ProtocolOption
+from bbq_torchrl.options.protocol import ProtocolOption, SpikeOption
 from bbq_torchrl.options.registry import Option, conf_folder, explorations, schemas
-from bbq_torchrl.options.spike import SpikeOption
 from bbq_torchrl.options.task import lists
 from bbq_torchrl.settings import (
     ANY_TEXT,

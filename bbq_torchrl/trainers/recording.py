@@ -65,11 +65,11 @@ class MetricsFile:
         """
         values = {name: _per_replica(name, value, self.replicas) for name, value in columns.items()}
         rows: list[MetricRow] = [
-            {
-                "round": round_number,
-                "replica": replica,
+            dict(
+                round=round_number,
+                replica=replica,
                 **{name: column[replica] for name, column in values.items()},
-            }
+            )
             for replica in range(self.replicas)
         ]
         is_new = not self.rows or not self.path.exists()  # it may have been removed

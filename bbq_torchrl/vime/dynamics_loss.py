@@ -12,7 +12,7 @@ from torch import Tensor, nn
 from torchrl.objectives import LossModule
 
 from bbq_torchrl.bayes.scope import KLSum, weight_scope
-from bbq_torchrl.objectives.weighting import NumData, row_weights
+from bbq_torchrl.objectives.td_loss import NumData, row_weights
 from bbq_torchrl.settings import AT_LEAST_ZERO, COUNT, check
 from bbq_torchrl.vime.dynamics import DynamicsModel
 

@@ -15,7 +15,7 @@ from tiny import composed, nightly, rows, without_drawing
 from bbq_torchrl.runs.folders import is_finished, load_config
 from bbq_torchrl.runs.train import run
 from bbq_torchrl.settings import ConfigError
-from bbq_torchrl.trainers import RunFolderGoneError, TrainingError
+from bbq_torchrl.trainers import RunFolderGoneError
 from bbq_torchrl.utils import interruption
 
 from .trusted import DQN, resumed
@@ -97,12 +97,6 @@ def test_a_folder_that_is_moved_while_a_checkpoint_is_saved_is_named(tmp_path):
             tmp_path / "old",
             [lambda trainer, _: setattr(trainer.checkpoints, "save", fail)],
         )
-
-
-@pytest.mark.parametrize("make", [lambda: torch.empty(2**55), lambda: bytes(2**60)])
-def test_memory_that_runs_out_names_the_keys_to_lower(tmp_path, make):
-    with pytest.raises(TrainingError, match=r"protocol\.capacity"):
-        run(composed(*DQN, "protocol.rounds=1"), tmp_path / "run", [lambda *_: make()])
 
 
 def test_metrics_that_are_removed_while_a_run_trains_are_written_again(finished, tmp_path):
