@@ -9,7 +9,6 @@ import sys
 
 import forked
 import pytest
-import torch
 from tiny import composed, nightly, rows, without_drawing
 
 from bbq_torchrl.runs.folders import is_finished, load_config
