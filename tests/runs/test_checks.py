@@ -105,15 +105,13 @@ def test_results_and_curves_bear_the_name_of_domain_yaml(played, restaurant_fold
     assert [title.endswith("domain=restaurant") for title in titles] == [True]
 
 
-def test_what_of_a_corpus_is_left_out_or_never_matches_is_told(
-    played, tmp_path_factory, caplog, capsys
-):
+def test_what_of_a_corpus_is_left_out_is_told(played, tmp_path_factory, caplog, capsys):
     corpus = tmp_path_factory.mktemp("corpus")
     goal = {"diaact": "request", "inform_slots": {"city": "seattle"}, "request_slots": {}}
     both = goal | {"request_slots": {"city": "UNK"}}
     for name, content in (
         ("goals.p", [both, goal, both]),
-        ("movie_kb.1k.p", {0: {"city": "seattle "}, 1: {"city": "boston"}}),
+        ("movie_kb.1k.p", {0: {"city": "seattle"}, 1: {"city": "boston"}}),
         ("dicts.v3.p", {"city": ["seattle", "boston"]}),
     ):
         (corpus / name).write_bytes(pickle.dumps(content, 0))
@@ -122,9 +120,6 @@ def test_what_of_a_corpus_is_left_out_or_never_matches_is_told(
         result, _ = played(*of)
     (text,) = result.skipped
     assert text.startswith("goals.p, goals 0, 2: ")
-    doubt = "city = 'seattle ', which never matches 'seattle'"
-    for parts in ([text], ["movie_kb.1k.p, row 0: ", doubt]):
-        assert any(all(part in told for part in parts) for told in caplog.messages)
+    assert any(text in told for told in caplog.messages)
     assert evaluate.main(["policy=rule", "dialogues=10", *of]) == 0
-    (told,) = json.loads(capsys.readouterr().out)["doubts"]
-    assert doubt in told
+    assert json.loads(capsys.readouterr().out)["skipped"] == [text]
