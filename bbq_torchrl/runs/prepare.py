@@ -35,7 +35,8 @@ from bbq_torchrl.runs.folders import (
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.files import CONFIG, HYDRA, LOG, OVERRIDES, numbers_in_order, read_yaml
-from bbq_torchrl.utils.text import sentence, shown
+from bbq_torchrl.utils.reports import Table
+from bbq_torchrl.utils.text import EMPTY, sentence, shown
 
 if TYPE_CHECKING:
     from bbq_torchrl.evaluation.run_result import RunResult
@@ -44,9 +45,6 @@ _LOG = logging.getLogger(__name__)
 
 _ON_THIS_MACHINE = ("cores", "joblib", "basic")
 """Launchers whose jobs are this process or its children."""
-
-_HEAD = ("run", "overrides", "final success", "state")
-_FINISHED = "finished"
 
 
 class Preparation(Callback):
@@ -81,9 +79,10 @@ class Preparation(Callback):
     def on_multirun_end(self, config: DictConfig, **_: Any) -> None:
         """Prints the table of the sweep; the exit code is 1 if a run is not finished."""
         folder = Path(config.hydra.sweep.dir)
-        output.print_error(table_of_runs(folder))
+        table, is_complete = table_of_runs(folder)
+        output.print_error(table)
         _tell(folder)
-        if has_failed(folder) and not interruption.exit_code():
+        if not is_complete and not interruption.exit_code():
             sys.exit(1)
 
 
@@ -229,51 +228,37 @@ def run_job(composed: DictConfig, folder: Path, run: Callable[..., RunResult]) -
     return math.nan
 
 
-def has_failed(sweep: Path) -> bool:
-    """Returns whether a run of a sweep is not finished."""
-    return any(_success_and_state(folder)[1] != _FINISHED for folder in _runs_of(sweep))
+def table_of_runs(sweep: Path) -> tuple[str, bool]:
+    """Returns the table of a sweep's runs, and whether all of them are finished.
 
-
-def table_of_runs(sweep: Path) -> str:
-    """Returns a line for each run of a sweep: folder, overrides, final success, state.
-
-    Overrides that all runs share are left out.
+    A row has the folder, the overrides that not all runs share, the final success and the state.
     """
-    folders = _runs_of(sweep)
+    folders = sorted((file.parent for file in sweep.rglob(HYDRA)), key=numbers_in_order)
     overrides = [_overrides(folder) for folder in folders]
     shared = set(overrides[0]).intersection(*overrides) if len(overrides) > 1 else set()
+    rates = [_final_success(folder) for folder in folders]
     rows = [
-        (
-            str(folder.relative_to(sweep)),
-            " ".join(item for item in given if item not in shared),
-            *_success_and_state(folder),
-        )
-        for folder, given in zip(folders, overrides, strict=True)
+        {
+            "run": folder.relative_to(sweep),
+            "overrides": " ".join(item for item in given if item not in shared),
+            "final success": EMPTY if rate is None else f"{rate:.3f}",
+            "state": f"not finished: {LOG} in it says why" if rate is None else "finished",
+        }
+        for folder, given, rate in zip(folders, overrides, rates, strict=True)
     ]
-    finished = sum(state == _FINISHED for *_, state in rows)
-    table = [_HEAD, *rows]
-    widths = [max(map(len, column)) for column in zip(*table, strict=True)]
-    lines = (
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True)).rstrip()
-        for row in table
-    )
-    return "\n".join([f"{finished} of {len(rows)} runs in {sweep} are finished", *lines])
+    finished = len(rates) - rates.count(None)
+    title = f"{finished} of {len(rows)} runs in {sweep} are finished"
+    return f"{title}\n\n{Table('runs', rows, words=4)}", finished == len(rows)
 
 
-def _runs_of(sweep: Path) -> list[Path]:
-    folders = (file.parent for file in sweep.rglob(HYDRA))
-    return sorted(folders, key=numbers_in_order)
-
-
-def _success_and_state(folder: Path) -> tuple[str, str]:
+def _final_success(folder: Path) -> float | None:
+    """Returns the final success of a finished run; None for others."""
     try:
         rounds = run_config(folder).protocol.rounds
     except ConfigError:
-        rounds = 0
-    result = finished_result(folder, rounds)
-    if result is not None and is_finished(folder, rounds):
-        return f"{result.success_rate:.3f}", _FINISHED
-    return "–", f"not finished: {LOG} in it says why"
+        return None
+    result = finished_result(folder, rounds) if is_finished(folder, rounds) else None
+    return None if result is None else result.success_rate
 
 
 def _overrides(folder: Path) -> list[str]:

@@ -104,4 +104,4 @@ def test_a_sweep_is_shown_whatever_its_overrides_hold(tmp_path, noted):
     (tmp_path / "0" / ".hydra").mkdir(parents=True)
     (tmp_path / "0" / "config.yaml").write_text("seed: 0\n")
     (tmp_path / "0" / ".hydra" / "overrides.yaml").write_text(noted)
-    assert table_of_runs(tmp_path).splitlines()[-1].split()[0] == "0"
+    assert table_of_runs(tmp_path)[0].splitlines()[-1].split()[1] == "0"
