@@ -19,7 +19,7 @@ from bbq_torchrl.exploration import (
 from bbq_torchrl.networks import BootstrapMLP, FlatMLP, GaussianProcess
 from bbq_torchrl.networks.gaussian_process import StateFeatures
 from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, DropoutDQNLoss, GPLoss
-from bbq_torchrl.options import agent, env, explore, intrinsic, spike
+from bbq_torchrl.options import agent, env, explore, protocol
 from bbq_torchrl.trainers import ReplicaAdam, Spike
 from bbq_torchrl.vime import DynamicsLoss, DynamicsModel, VIMEReward
 
@@ -32,11 +32,11 @@ PARTS = {
     explore.Thompson: (ThompsonSampling,),
     explore.BootstrapActing: (BootstrapSampling,),
     explore.NoisyActing: (NoisySampling,),
-    intrinsic.VIME: (DynamicsModel, VIMEReward, DynamicsLoss),
+    explore.VIME: (DynamicsModel, VIMEReward, DynamicsLoss),
     env.FullDomain: (DialogueEnv,),
     env.DomainExtension: (DialogueEnv, ExtensionSchedule),
     env.MiuLabDomain: (load_miulab,),
-    spike.RuleSpike: (Spike,),
+    protocol.RuleSpike: (Spike,),
 }
 """Option -> the parts that its keys are arguments of."""
 
