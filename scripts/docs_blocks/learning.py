@@ -85,8 +85,8 @@ def _gp_explorers() -> str:
                 gap = EMPTY if name == "gp" else minus(reference, own, quantity)
                 row += [estimate(values), gap]
             rows.append(row)
-    first = next(iter(GP_EXPLORERS))
-    head = (f"booked of the first {EARLY:,}", f"{first} minus it", "at the end", f"{first} minus it")
+    minuend = f"{next(iter(GP_EXPLORERS))} minus it"
+    head = (f"booked of the first {EARLY:,}", minuend, "at the end", minuend)
     return table(("Gaussian process", "seeds", *head), rows, numbers=5)
 
 
