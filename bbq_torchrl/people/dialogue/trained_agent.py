@@ -13,22 +13,16 @@ from tensordict import TensorDict
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl import __version__
-from bbq_torchrl.bayes import GaussianPosterior
-from bbq_torchrl.bayes.layers import local_weight_scope
-from bbq_torchrl.bayes.scope import weight_scope
 from bbq_torchrl.envs import DialogueEnv
-from bbq_torchrl.exploration import EvaluationPolicy, Greedy, MajorityVote
-from bbq_torchrl.networks import BootstrapMLP, FlatMLP
-from bbq_torchrl.networks.q_actor import split_actor
+from bbq_torchrl.exploration.draws import path_draws, q_draws
 from bbq_torchrl.people.dialogue import Belief, Beliefs
 from bbq_torchrl.runs.loading import load_run
 from bbq_torchrl.settings import ConfigError
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator
+    from collections.abc import Iterator
     from pathlib import Path
 
-    from tensordict.nn import TensorDictModuleBase
     from torch import Tensor
 
     from bbq_torchrl.domains import Domain
@@ -259,82 +253,3 @@ class TrainedAgent:
 def _reason(group: str, draws: Tensor) -> Reason:
     low, high = draws.quantile(torch.tensor([0.05, 0.95])).tolist()
     return Reason(group, float(draws.mean()), (low, high))
-
-
-def q_draws(policy: TensorDictModuleBase, inputs: Tensor, draws: int) -> Tensor | None:
-    """Returns draws of the Q-values in one state, ``[*replicas, draws, N]``.
-
-    For a Bayesian network, they are rows of local reparameterization, which for one state have
-    exactly the distribution of as many draws of all weights. For bootstrapped heads, they are the
-    heads. For a network trained with dropout, they are draws of its units (Gal and Ghahramani,
-    2016). ``None`` for a policy without uncertainty.
-
-    Args:
-        policy: the policy that a run reports.
-        inputs: the observation, ``[*replicas, 1, F]``.
-        draws: the number of draws; bootstrapped heads ignore it.
-    """
-    if isinstance(policy, MajorityVote):
-        return _mean_values(policy, inputs).squeeze(-3)
-    if not isinstance(policy, (EvaluationPolicy, Greedy)) or not any(
-        isinstance(module, GaussianPosterior) or (isinstance(module, FlatMLP) and module.dropout)
-        for module in policy.modules()
-    ):
-        return None
-    rows = inputs.expand(*inputs.shape[:-2], draws, inputs.shape[-1])
-    with local_weight_scope(policy, rows.shape[:-1]):
-        return _values(policy, rows)
-
-
-def path_draws(
-    policy: TensorDictModuleBase, inputs: Tensor, draws: int
-) -> tuple[int, Callable[[Tensor], Tensor]] | None:
-    """Returns the number of networks, and the function that evaluates them between two states.
-
-    The weights must stay fixed along a path, which local reparameterization does not allow, so
-    these are draws of all weights. The function takes ``[*replicas, K, F]`` and returns
-    ``[*replicas, K, N]``, one row per network, and is differentiable. ``None`` for a policy of
-    another kind.
-
-    Args:
-        policy: the policy that a run reports.
-        inputs: an observation, ``[*replicas, 1, F]``.
-        draws: the number of draws; heads and networks without a posterior ignore it.
-    """
-    if isinstance(policy, MajorityVote):
-        heads = _mean_values(policy, inputs).shape[-2]
-        # The heads divide the gradient to their trunk by their number, which this undoes.
-        networks = [module for module in policy.modules() if isinstance(module, BootstrapMLP)]
-        scale = heads if any(network.trunk is not None for network in networks) else 1
-
-        def of_heads(rows: Tensor) -> Tensor:
-            rows = rows + (scale - 1) * (rows - rows.detach())
-            return _mean_values(policy, rows).diagonal(dim1=-3, dim2=-2).movedim(-1, -2)
-
-        return heads, of_heads
-    if not isinstance(policy, (EvaluationPolicy, Greedy)):
-        return None
-    found = [module for module in policy.modules() if isinstance(module, GaussianPosterior)]
-    if not found:
-        return 1, lambda rows: _mean_values(policy, rows)
-    weights = {one: one.sample((draws,)).detach() for one in found}
-
-    def of_draws(rows: Tensor) -> Tensor:
-        with weight_scope(weights=weights):
-            return _values(policy, rows)
-
-    return draws, of_draws
-
-
-def _values(policy: TensorDictModuleBase, rows: Tensor) -> Tensor:
-    """Returns the values of the network behind a policy, ``[*replicas, rows, ..., N]``."""
-    network, choice = split_actor(policy.actor)
-    assert choice is not None  # our policies choose by their values
-    tensordict = TensorDict({network.in_keys[0]: rows}, batch_size=rows.shape[:-1])
-    values: Tensor = network(tensordict).get(choice.action_value_key)
-    return values
-
-
-def _mean_values(policy: TensorDictModuleBase, rows: Tensor) -> Tensor:
-    with weight_scope("mean"):
-        return _values(policy, rows)
