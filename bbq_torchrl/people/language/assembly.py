@@ -10,6 +10,7 @@ import torch
 
 from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT, Frame
 from bbq_torchrl.people.language.asking import OPENING, Unclear, asked_slot
+from bbq_torchrl.people.language.quantities import sure_kind
 from bbq_torchrl.people.language.words import (
     ENGLISH,
     POLITE,
@@ -56,19 +57,22 @@ def assemble(
     if asked is not None and NO_MATCH_TEXT in " ".join(words):
         # Simulated users repeat that the agent found no match.
         return Frame("inform", {asked: NO_MATCH_TEXT}), (), 0.0
-    if (choice := chosen(words, question, lexicon)) is not None:
-        return Frame("inform", {question.requests[0]: choice}), (), 0.0
     act = lexicon.domain.acts[int(reading.acts.argmax())]
     spans = spans_of(reading.tags)
+    if (choice := chosen(words, question, lexicon)) is not None:
+        others = [span for span in spans if span.slot != asked]  # "The second. We are three."
+        informs, unclear = values_of(words, others, lexicon)
+        return Frame("inform", {**informs, question.requests[0]: choice}), unclear, 0.0
     is_short = len(words) <= _SHORT and "?" not in words
     if is_short and asked in lexicon.slots and lexicon.link(asked, " ".join(words)).is_exact:
         spans = [Span(asked, 0, len(words))]  # "LA" is the city or the state asked for.
     else:
-        is_bare = act == "inform" and not spans  # though it must name something
+        is_bare = act in ("inform", "deny") and not spans  # though it may name something
         left = untagged(words, reading.tags)
         for span in lexicon.full_names(left, asked if is_bare else None):
             around = (*words[max(span.start - 1, 0) : span.start], *words[span.end : span.end + 1])
-            if is_bare or "or" in around:  # "Seattle or Portland"
+            is_sure = sure_kind(" ".join(words[span.start : span.end]))
+            if is_bare or is_sure or "or" in around:  # "Seattle or Portland"
                 spans.append(span)
         spans.sort(key=lambda span: span.start)
     informs, unclear = values_of(words, spans, lexicon)

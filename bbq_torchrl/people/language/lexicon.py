@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl.domains import build_vocabulary, fold
 from bbq_torchrl.domains.values import FIRST_VALUE
 from bbq_torchrl.people.language.phrases import load_phrases
-from bbq_torchrl.people.language.quantities import READERS, Kind, kind_of
+from bbq_torchrl.people.language.quantities import READERS, Kind, kind_of, sure_kind
 from bbq_torchrl.people.language.words import POLITE, SMALL, Span, compact, pairs, tokenize
 from bbq_torchrl.utils.output import needed
 
@@ -195,8 +195,14 @@ class Lexicon:
         return self._nearest(slot, text)
 
     def only_slot(self, text: str) -> str | None:
-        """Returns the only slot that has a value of exactly this name, else ``None``."""
-        return self._only.get(compact(text))
+        """Returns the only slot that has a value of exactly this name, else ``None``.
+
+        A quantity that nothing else can be, as "11 am", is of the only slot of its kind that an
+        agent speaks of.
+        """
+        kind, spoken_of = sure_kind(text), {action.slot for action in self.domain.actions}
+        slots = [slot for slot, own in self.kinds.items() if own == kind and slot in spoken_of]
+        return self._only.get(compact(text), slots[0] if len(slots) == 1 else None)
 
     def place(self, words: Sequence[str], slot: str, value: str) -> range | None:
         """Returns the words that name a value best: its longest full name, else the best fit.
@@ -243,7 +249,8 @@ class Lexicon:
                 continue
             kind = self.kinds[slot]
             is_short = kind == "text" and len(name) < _LEAST_LETTERS and name.isalpha()
-            if not (is_short or (kind == "count" and slot != asked)):
+            is_number = kind == "count" and slot != asked and sure_kind(name) is None
+            if not (is_short or is_number):
                 found.append(Span(slot, at.start, at.stop))
                 left[at.start : at.stop] = [""] * len(at)
         return found

@@ -7,11 +7,15 @@ is text: ``"at 19:30"``, ``"friday night"``, ``"3/14"``, ``"2"``, ``"$10"``.
 from __future__ import annotations
 
 import calendar
+import math
 import re
 from collections.abc import Callable, Iterable
 from typing import Literal, get_args
 
 from bbq_torchrl.people.language.words import ENGLISH, pairs, tokenize, word_set
+
+Kind = Literal["text", "time", "date", "count", "price"]
+KINDS: tuple[Kind, ...] = get_args(Kind)
 
 UNITS = ENGLISH["units"].split()
 """Zero to nineteen."""
@@ -39,6 +43,22 @@ _MEMBER = rf"(?:{NUMBER}|an?) (?:{'|'.join(sorted(word_set('members')))})"
 _JOIN = "|".join(map(re.escape, sorted(word_set("members_join"))))
 PARTY = re.compile(rf"(?<!\S){_MEMBER}(?: (?:(?:{_JOIN}) )*{_MEMBER})+(?!\S)")
 """Several sorts of people, each with its number: "2 adults and a child"."""
+
+_COMPANION = rf"(?:my|an?|the) (?:{'|'.join(sorted(_COMPANIONS))})"
+_SURE: dict[Kind, re.Pattern[str]] = {
+    "count": re.compile(rf"{NUMBER} of us|{_COMPANION} and (?:i|me)|(?:me|i) and {_COMPANION}"),
+    "time": re.compile(r"\d[\d:.]* [ap]\.?m\.?"),
+}
+
+
+def sure_kind(text: str) -> Kind | None:
+    """Returns the kind of a quantity that nothing else can be, else ``None``.
+
+    Examples:
+        >>> [sure_kind(text) for text in ("11 am", "my son and i", "4 of us", "two")]
+        ['time', 'count', 'count', None]
+    """
+    return next((kind for kind, pattern in _SURE.items() if pattern.fullmatch(text)), None)
 
 
 def number_of(word: str) -> int | None:
@@ -87,9 +107,6 @@ def _people(words: list[str]) -> int:
         return 1 + companions
     return int(bool(_ALONE & said) or " ".join(words) in ENGLISH["just_me"])
 
-
-Kind = Literal["text", "time", "date", "count", "price"]
-KINDS: tuple[Kind, ...] = get_args(Kind)
 
 _ORDINALS = {word: number for number, word in enumerate(ORDINALS, 1)} | {"thirtieth": 30}
 _DAYS = tuple(day.lower() for day in calendar.day_name)
@@ -160,6 +177,21 @@ def read_time(text: str) -> str | None:
     if hour <= 12 and (shift is not None or not is_sure):
         hour, is_sure = hour % 12 + (12 if shift is None else shift), shift is not None
     return f"{relation} {hour:02}:{minute:02}{'' if is_sure else '?'}"
+
+
+def minutes_of(text: str) -> float:
+    """Returns the minutes from midnight of a time of day; NaN of "late at night"."""
+    read = (read_time(text) or "").rstrip("?")
+    if not read.startswith("at "):
+        return math.nan
+    hour, minute = read.removeprefix("at ").split(":")
+    return 60.0 * int(hour) + int(minute)
+
+
+def day_of(text: str) -> str:
+    """Returns the day of a date without the part of the day: "tonight" is today."""
+    words = (read_date(text) or text).split()
+    return " ".join(word for word in words if word not in {*PART_WORDS, "later"})
 
 
 def _read_clock(words: list[str]) -> tuple[int, int, bool] | None:

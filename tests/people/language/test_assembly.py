@@ -103,13 +103,40 @@ def test_not_too_late_is_not_late_and_not_too_far_is_a_value(lexicon):
         ("we're flexible about the time", "starttime"),
         ("any movie would be fine", "moviename"),
         ("any", "city"),
-        ("anything is fine for the four of us", "city"),
+        ("anything is fine for everyone", "city"),
     ],
 )
 def test_no_preference_is_about_the_slot_that_is_named(lexicon, text, slot):
     question = Frame("request", {}, ("city",))
     frame, unclear = read(text, {}, lexicon, question, free={"city": 0.9})
     assert (frame, unclear) == (Frame("inform", {slot: ANY}), ())
+
+
+@pytest.mark.parametrize(
+    ("text", "informs"),
+    [
+        ("wonka tomorrow at 9:45 pm", {"starttime": "9:45 pm"}),
+        ("my cousin and i love wonka", {"numberofpeople": "2"}),
+        ("hello , 7 of us here", {"numberofpeople": "7"}),
+        ("we have 7 dogs", {}),
+    ],
+)
+def test_a_quantity_that_nothing_else_can_be_needs_no_tag(lexicon, text, informs):
+    frame, _ = read(text, {"wonka": "moviename"} if "wonka" in text else {}, lexicon, act="deny")
+    assert {slot: v for slot, v in frame.informs.items() if slot != "moviename"} == informs
+
+
+def test_a_correction_of_names_alone_is_no_bare_no(lexicon):
+    for text in ("no , i said newark , not reno", "nope , newark"):
+        frame, _ = read(text, {}, lexicon, act="deny")
+        assert (frame.act, frame.informs) == ("inform", {"city": "newark"})
+    assert read("no thanks", {}, lexicon, act="deny")[0] == Frame("deny")
+
+
+def test_what_stands_beside_a_choice_is_not_lost(lexicon):
+    question = Frame("multiple_choice", {}, ("starttime",), ("7:55 pm", "2:50pm"))
+    frame, _ = read("the second . 4 of us", {"4": "numberofpeople"}, lexicon, question)
+    assert frame.informs == {"starttime": "2:50pm", "numberofpeople": "4"}
 
 
 def test_an_unknown_name_is_reported_with_its_slot_and_words(lexicon):
