@@ -93,6 +93,9 @@ class Talk:
         if now.acted:
             count["acted"] += 1
             heard = {k: v for k, v in now.understood.informs.items() if v not in _RESERVED}
+            proposed = {} if before is None else before.memory.proposal
+            if said.informs.items() & proposed.items():  # who names one of its values takes it all
+                heard = dict(heard.items() - proposed.items())
             is_foreign = any(said.informs.get(k, self._earlier(k)) != v for k, v in heard.items())
             questions = set(now.understood.requests) - {self._partner.domain.ticket_slot}
             is_other = bool(questions - set(said.requests)) or not set(said.requests) <= questions

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 from bbq_torchrl.domains.frames import ANY
 from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.language import Frame, Understood
+from bbq_torchrl.people.language.quantities import read_time
 from bbq_torchrl.people.language.words import has_bye, is_farewell
 
 if TYPE_CHECKING:
@@ -56,8 +57,8 @@ class Hearing:
             frame = replace(reading.frame, informs=self._spelling.of(values))
             return replace(reading, frame=frame)
         informed = question.informs if question is not None else {}
-        informs, unclear = self._spelling.understood(text, values, informed)
-        frame, unclear = replace(reading.frame, informs=informs), (*reading.unclear, *unclear)
+        informs, unclear = self._spelling.understood(text, values, informed, reading.unclear)
+        frame = replace(reading.frame, informs=informs)
         if "answers_first" in rules and {*frame.requests} - {self._domain.ticket_slot}:
             spoken_of = {action.slot for action in self._domain.actions}
             unclear = tuple(one for one in unclear if one.slot in spoken_of)  # others can wait
@@ -129,24 +130,33 @@ class Hearing:
         return replace(reading, frame=frame, confidence=1.0, unclear=unclear), news
 
     def _all_questions(self, text: str, reading: Understood) -> Understood:
-        """Returns a reading with the questions of each clause, which are read by themselves."""
-        asked = dict.fromkeys(reading.frame.requests)
+        """Returns a reading with the questions of each clause, which are read by themselves.
+
+        A time that is none is asked for: "What time is the earliest show?"
+        """
+        asked, informs = dict.fromkeys(reading.frame.requests), {**reading.frame.informs}
+        for slot in self._spelling.named(text, informs) if moves.asks(text) else ():
+            is_time = informs[slot] == ANY or read_time(informs[slot])
+            if self._spelling.lexicon.kinds.get(slot) == "time" and not is_time:
+                del informs[slot]
+                asked[slot] = None
         for clause in moves.questions(text):
             named = set(self._spelling.named(clause, self._domain.slots))  # "when" names two
             if named and named.isdisjoint(asked):
                 alone = self._nlu(clause, None).frame.requests
                 asked |= dict.fromkeys(slot for slot in alone if slot in named)
-        if len(asked) == len(reading.frame.requests):
-            return reading
-        frame = Frame("request", reading.frame.informs, tuple(asked))
-        return replace(reading, frame=frame)
+        act = reading.frame.act if {*asked} == {*reading.frame.requests} else "request"
+        return replace(reading, frame=Frame(act, informs, tuple(asked)))
 
     def _aside(self, text: str, asked: tuple[str, ...], reading: Understood) -> Understood:
-        """Returns the meaning of a text that may ask for something instead of answering."""
+        """Returns the meaning of a text that may say or ask something instead of answering."""
         alone = self._nlu(text, None)
         named = self._spelling.named(text, alone.frame.requests, asked)
         is_echo = not set(asked) <= set(named) and set(asked) <= set(reading.frame.requests)
         is_better = alone.confidence > reading.confidence
+        is_silent = self.is_bare(reading.frame) and not (reading.unclear or moves.accepts(text))
+        if is_silent and is_better and not self.is_bare(alone.frame) and not named:
+            return alone
         if not named or not (is_better or (asked and is_echo)):
             return reading
         frame = Frame("request", reading.frame.informs, named)

@@ -19,8 +19,9 @@ _DATA = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="u
 
 
 def _pattern(text: str) -> re.Pattern[str]:
-    """Returns a compiled pattern of the file, whose lines may break after a ``|``."""
-    text = text.replace("| ", "|").replace("<it>", _DATA["it"]).replace("<yes>", _DATA["yes"])
+    """Returns a compiled pattern of the file; lines break for a space, or after a ``|``."""
+    for short, long in (("|\n", "|"), ("\n", " "), *((f"<{n}>", _DATA[n]) for n in ("it", "yes"))):
+        text = text.replace(short, long)
     return re.compile(re.sub(r"(?<!P)<x>", r"(?P<x>[\\w' ]+?)", text))
 
 
@@ -28,8 +29,8 @@ _ACCEPT = [_pattern(rf"(?<!\S)(?:{text})(?!\S)") for text in _DATA["accept"]]
 _BESIDE = frozenset(_DATA["beside"].split())
 _YES = _pattern(r"(?:<yes>)(?![\w']) ?(?:(?:and|but|so|then) )*")
 _NO = _pattern(_DATA["no"])
-_QUESTION, _WHETHER, _HESITATES = (
-    _pattern(_DATA[name]) for name in ("question", "whether", "hesitates")
+_QUESTION, _WHETHER, _WHETHER_ANY, _HESITATES = (
+    _pattern(_DATA[name]) for name in ("question", "whether", "whether_any", "hesitates")
 )
 _BEFORE = [_pattern(rf"\b(?:{text})\b(?P<x>.*)") for text in _DATA["before"]]
 _AFTER = [_pattern(rf"(?P<x>.*?)(?: |(?='s))(?:{text})(?!\w)") for text in _DATA["after"]]
@@ -40,6 +41,9 @@ _LATER, _EARLIER = _pattern(_DATA["later"]), _pattern(_DATA["earlier"])
 _ABOUT = {name: _pattern(_DATA[name]) for name in ("help", "bot", "nothing")}
 _CLAUSE = re.compile(r" ?[,.;!?:()] ?| (?:but|and then) ")
 _SENTENCE = re.compile(r"[^.;!?]+[.;!?]*")
+_NEXT = re.compile(
+    r" (?:, )?(?:and|but|also)(?: also)? (?=(?:is|are|does|do|will|can|wh\w+|how)(?!\S))"
+)
 _PIECE = re.compile(r"[^,.;!?]+[,.;!?]*")
 _AND = re.compile(rf"(?:{_CLAUSE.pattern})(?:and |also |plus )*| (?:and|also|plus|&) ")
 _WHERE = re.compile(r" (?:in|at|on|near) ")
@@ -114,17 +118,30 @@ def asks_whether(text: str) -> bool:
     return _WHETHER.search(_words(text)) is not None
 
 
+def asks_whether_any(text: str) -> bool:
+    """Returns whether a text asks if there is a booking of some sort.
+
+    Examples:
+        >>> [asks_whether_any(text) for text in ("Is it on in Reno?", "Got any left?", "At 7?")]
+        [True, True, False]
+    """
+    return any(_WHETHER_ANY.search(sentence) for sentence in sentences(text))
+
+
 def sentences(text: str) -> list[str]:
-    """Returns the sentences of a text; a yes before a comma is one by itself.
+    """Returns the sentences of a text; a yes before a comma and a further question are such.
 
     Examples:
         >>> sentences("Sounds good, is it in 3D? We are four.")
         ['sounds good', 'is it in 3d ?', 'we are four .']
+        >>> sentences("When is it and does it have subtitles?")
+        ['when is it', 'does it have subtitles ?']
     """
     found: list[str] = []
-    for sentence in _SENTENCE.findall(_words(text)):
-        yes, _, rest = sentence.strip().partition(" , ")
-        found += [yes, rest] if rest and accepts(yes) else [sentence.strip()]
+    for whole in _SENTENCE.findall(_words(text)):
+        for sentence in _NEXT.split(whole.strip()):
+            yes, _, rest = sentence.partition(" , ")
+            found += [yes, rest] if rest and accepts(yes) else [sentence]
     return found
 
 
@@ -134,14 +151,15 @@ def hesitates(text: str) -> bool:
 
 
 def questions(text: str) -> list[str]:
-    """Returns the clauses of a text with several, if it asks something.
+    """Returns the clauses of the sentences that ask something, if there are several.
 
     Examples:
         >>> questions("Where, and on what day?")
         ['where', 'on what day']
     """
-    clauses = [part for part in _AND.split(_words(text)) if part]
-    return clauses if len(clauses) > 1 and asks(text) else []
+    asking = filter(_QUESTION.search, _SENTENCE.findall(_words(text)))
+    clauses = [part for sentence in asking for part in _AND.split(sentence.strip()) if part]
+    return clauses if len(clauses) > 1 else []
 
 
 def is_nothing(text: str) -> bool:
@@ -176,14 +194,15 @@ def direction(text: str) -> int:
     return bool(_LATER.search(words)) - bool(_EARLIER.search(words))
 
 
-def asks_for_others(text: str) -> bool:
-    """Returns whether a text asks for alternatives.
+def others(text: str) -> str:
+    """Returns the words by which a text asks for alternatives, to the end of the clause.
 
     Examples:
-        >>> [asks_for_others(text) for text in ("What else is there?", "another day then", "at 7")]
-        [True, True, False]
+        >>> others("Too far. What other days do you have?"), others("at 7")
+        ('other days do you have', '')
     """
-    return _OTHERS.search(_words(text)) is not None
+    found = (_OTHERS.search(clause) for clause in _CLAUSE.split(_words(text)))
+    return next((one.string[one.start() :] for one in found if one), "")
 
 
 def taken_back(text: str, held: Mapping[str, str], lexicon: Lexicon) -> tuple[str, ...]:
@@ -199,11 +218,11 @@ def taken_back(text: str, held: Mapping[str, str], lexicon: Lexicon) -> tuple[st
         return ()
     for clause in _CLAUSE.split(_words(text)):
         for match in _ANY.finditer(clause):
-            if "?" not in text or match.end() < len(clause):  # "Any good movies?"
+            if not asks_whether_any(text):  # "Any good movies?"
                 found += named_slots(_WHERE.split(match["x"])[0], lexicon)
         for region in _regions(clause):
             found += named_slots(region, lexicon)
-            found += _named_values(region, held, lexicon)
+            found += named_values(region, held, lexicon)
     return tuple(dict.fromkeys(found))
 
 
@@ -230,7 +249,7 @@ def named_slots(words: str, lexicon: Lexicon) -> list[str]:
     return found
 
 
-def _named_values(words: str, held: Mapping[str, str], lexicon: Lexicon) -> list[str]:
+def named_values(words: str, held: Mapping[str, str], lexicon: Lexicon) -> list[str]:
     """Returns the slots of the values that some words name: those held, or of one slot only."""
     parts, found = words.split(), []
     for size in range(min(_LONGEST, len(parts)), 0, -1):

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from collections import Counter
 from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.domains.frames import NO_MATCH_TEXT
 from bbq_torchrl.domains.values import RESERVED_TEXT, fold
 from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.control import Control
@@ -20,7 +18,7 @@ from bbq_torchrl.people.dialogue.tracking import Acting, Tracking, full
 from bbq_torchrl.people.dialogue.ways_out import WaysOut
 from bbq_torchrl.people.language import Frame, TextError, Understood
 from bbq_torchrl.people.language.asking import Asking
-from bbq_torchrl.people.language.words import compact, is_no
+from bbq_torchrl.people.language.words import is_no
 from bbq_torchrl.simulator import Simulator
 
 if TYPE_CHECKING:
@@ -89,10 +87,8 @@ class Partner:
         self._hear = Hearing(nlu, self._spelling, self.control.rules)
         self._questions = Questions(self._spelling, self._hear, nlg)
         self._acting = Acting(agent, self._tracking, self.control)
-        wanted = Counter(slot for goal in self.domain.goals for slot in goal.constraints)
-        self._goal_slots = [slot for slot, _ in wanted.most_common(_MAX_NAMED)]
         self._ways_out = WaysOut(
-            self._spelling, self._tracking, self.control.records, nlg, self._goal_slots
+            self._spelling, self._tracking, self.control.records, nlg, self._acting.place
         )
 
     def reply(self, memory: Memory | None, text: str, seed: int) -> Answer:
@@ -113,7 +109,9 @@ class Partner:
                 greeting = self._nlg.agent(Frame("request"), **words)
                 return self._say(Memory(texts=now.texts), f"{sentence} {greeting}")
             if "help" in rules and (topic := moves.about(text)):
-                return self._say(now, self._nlg.say(topic, self._goal_slots, **words))
+                return self._say(
+                    now, self._nlg.say(topic, self.domain.essential[:_MAX_NAMED], **words)
+                )
             told = self._told(before, text, words)
             reading = self._hear(told.rest or text, question)
         except TextError as error:
@@ -155,8 +153,10 @@ class Partner:
         is_offered = before.state is not None and bool(before.state["offered"])
         reading = self._hear.leaving(reading, text, is_offered)
         is_wish = bool(_values(reading.frame)) and not moves.asks(text)
-        others = "way_out" in rules and moves.asks_for_others(text) and not is_wish
-        held = {} if before.state is None else self._tracking.kept(before.state)
+        others = "way_out" in rules and bool(moves.others(text)) and not is_wish
+        held = self._tracking.kept(before.state)
+        if "way_out" in rules:
+            reading = self._ways_out.narrowed(reading, held)
         is_said = bool(before.proposal) or is_offered or others or bool(_values(reading.frame))
         if "drop" in rules and is_said:
             reading, refused = self._hear.refused(reading, held)
@@ -187,12 +187,16 @@ class Partner:
             reading, dropped = self._hear.dropped(reading, text, question, held)
         if others and not dropped:
             joined = _values(before.asking.joined(reading.frame))
-            told = {k: value for k, value in joined.items() if not moves.asks_for_others(value)}
+            told = {k: value for k, value in joined.items() if not moves.others(value)}
             state = self._acting.hear(before.state, Frame("inform", told))
             found = self._ways_out.others(replace(now, state=state), reading, text, question, words)
             if found is not None:
                 return found
         understood = before.asking.joined(reading.frame)
+        # A question that was not heard is no plain sentence.
+        is_any = moves.asks_whether_any(text)
+        asked = {*reading.frame.requests} - {self.domain.ticket_slot}
+        is_answered = is_any or bool(asked) or not moves.asks(text)
         is_unsure = before.asking.asks(self._nlu, reading, self._ask_below)
         if is_unsure:
             is_question = "help" in rules and moves.asks(text) and "?" in text
@@ -201,7 +205,8 @@ class Partner:
             values = _values(understood)
             if reading.unclear or not values or "confirm" not in rules:
                 return self._ask_again(now, reading, self._nlg.clarify(reading, **words))
-            if reading.confidence < _DOUBTFUL and not before.asking.is_check:
+            is_plain = self._spelling.is_named(text, values) and is_answered
+            if not (is_plain or before.asking.is_check) and reading.confidence < _DOUBTFUL:
                 now = replace(now, asking=now.asking.checking(reading))
                 answered = Frame("not_sure", values)
                 sentence = self._nlg.say("check", values=values, **words)
@@ -214,23 +219,16 @@ class Partner:
             return Answer(sentence, reading, understood, answered, now, ended=ended)
         answer = self._act(now, reading, understood, seed, words, is_booked=is_booked)
         if dropped:
-            said = self._nlg.say("dropped", dropped, **words)
-            answer = replace(answer, text=f"{said} {answer.text}")
-        known = self._details(before)
-        details = {s: v for s, v in self._details(answer.memory).items() if known.get(s) != v}
-        news = self._unsaid(before, understood, answer) if is_unsure else {}
-        news = {slot: value for slot, value in news.items() if slot not in details}
-        for use, values in (("no_promise", details), ("understood", news)):
-            if values:
-                said = self._nlg.say(use, values=values, **words)
-                answer = replace(answer, text=f"{said} {answer.text}")
+            answer = _led(answer, self._nlg.say("dropped", dropped, **words))
+        known, aside = map(self._tracking.aside, (before.state, answer.memory.state))
+        if absent := dict(aside.items() - known.items()):
+            answer = _led(answer, self._nlg.say("no_promise", values=absent, **words))
+        if is_unsure and (news := self._unsaid(before, understood, answer)):
+            answer = _led(answer, self._nlg.say("understood", values=news, **words))
+        is_found = answer.acted and not answer.memory.proposal and bool(_values(understood))
+        if is_any and is_found and not (asked or absent):
+            answer = _led(answer, self._nlg.say("yes", **words))
         return answer
-
-    def _details(self, memory: Memory) -> dict[str, str]:
-        """Returns the wishes for details that no fitting record has."""
-        aside = {} if memory.state is None else self._tracking.aside(memory.state)
-        minor = self.control.records.minor
-        return {slot: v for slot, v in aside.items() if minor[self.domain.slots.index(slot)]}
 
     def _question(self, before: Memory) -> Frame | None:
         """Returns the agent's act that the next text answers."""
@@ -241,7 +239,7 @@ class Partner:
 
     def _unsaid(self, before: Memory, understood: Frame, answer: Answer) -> dict[str, str]:
         """Returns the values of an act that are news and that the answer to it does not say."""
-        held = {} if before.state is None else self._tracking.kept(before.state)
+        held = self._tracking.kept(before.state)
         known, said = {**held, **before.proposal}, fold(answer.text)
         return {
             slot: value
@@ -337,10 +335,6 @@ class Partner:
         is_vague = is_vague or (is_bare(frame, "deny") and (asks or moves.hesitates(text)))
         if not is_vague:
             return reading, False
-        lexicon, name = self._spelling.lexicon, text.strip(" .!")
-        if slot := lexicon.only_slot(name) or lexicon.owners.get(compact(name)):
-            value = self._spelling.of({slot: lexicon.link(slot, name).values[0]})
-            return Understood(Frame("inform", value), 1.0, source=reading.source), False
         return replace(reading, frame=Frame("not_sure")), False
 
     def _act(
@@ -358,15 +352,13 @@ class Partner:
         is_offered = before is not None and bool(before["offered"])
         is_denied = is_offered and self._hear.is_bare(understood, "deny")
         told = {**understood.informs}
-        held = {} if before is None else self._tracking.kept(before)
+        held = self._tracking.kept(before)
         if not told.items() <= held.items():
             now = replace(now, times=0)
         named = tuple(one for one in now.refused if told.items().isdisjoint(one.items()))
         now = replace(now, refused=named)
         if is_denied:
-            offer = self._ways_out.spoken_of(now) or {}
-            place = {slot: offer[slot] for slot in self.domain.essential if slot in offer}
-            now = replace(now, denied=now.denied + 1, refused=(*now.refused, place))
+            now = replace(self._ways_out.refuse(now), denied=now.denied + 1)
             if now.denied >= _MAX_DENIED:
                 sentence, answered = self._nlg.say("no_more", **words), Frame("closing")
                 return Answer(sentence, reading, understood, answered, now, ended="agent")
@@ -387,10 +379,6 @@ class Partner:
         if ended and (is_booked or (is_offered and acted.understood.act == "thanks")):
             booked = self._tracking.values(acted.state["held"])
             sentences[:-1] = [self._nlg.say("booked", values=booked, **words)]
-        for slot in acted.aside:
-            if not self.control.records.minor[self.domain.slots.index(slot)]:
-                absent = self._nlg.agent(Frame("inform", {slot: NO_MATCH_TEXT}), **words)
-                sentences.insert(0, absent)
         if not ended and 2 * now.texts >= self.agent.simulator.max_turn:
             ended = "turns"
         sentence, left_out = " ".join(sentences), acted.control
@@ -441,6 +429,11 @@ class Partner:
                 unclear = reading.unclear[0]
                 answered = Frame("multiple_choice", {}, (unclear.slot,), unclear.candidates)
         return Answer(sentence, reading, understood, answered, now)
+
+
+def _led(answer: Answer, sentence: str) -> Answer:
+    """Returns an answer that begins with another sentence."""
+    return replace(answer, text=f"{sentence} {answer.text}")
 
 
 def _values(of: Frame | Mapping[str, str]) -> dict[str, str]:

@@ -81,7 +81,7 @@ class Questions:
         """Returns an answer, its values, and whether it agrees; ``None`` if there is no answer."""
         is_whether = moves.asks_whether(sentence)
         is_about = is_whether or moves.asks(sentence)
-        if not is_about or moves.asks_for_others(sentence) or moves.accepts(sentence):
+        if not is_about or moves.others(sentence) or moves.accepts(sentence):
             return None
         reading = self._hear(sentence, None)
         meant = {slot: [value] for slot, value in reading.frame.informs.items()}

@@ -8,8 +8,8 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.domains.values import DONT_CARE, FIRST_VALUE, NONE
-from bbq_torchrl.people.language.quantities import PART_WORDS, kind_of, read_date, read_time
+from bbq_torchrl.domains.values import FIRST_VALUE, NONE
+from bbq_torchrl.people.language.quantities import day_of, kind_of, minutes_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -58,6 +58,7 @@ class Records:
         domain: the domain's tensors.
 
     Attributes:
+        vocabulary: for each slot, the text of each value id.
         has: bool ``[R, S]``, whether a record has a slot.
         minor: bool ``[S]``, whether few of the domain's goals constrain a slot.
         determines: bool ``[S, S]``, whether the value of the first slot determines the second's,
@@ -65,7 +66,7 @@ class Records:
     """
 
     def __init__(self, domain: DomainTensors) -> None:
-        self._values, self._vocabulary = domain.records, domain.vocabulary
+        self._values, self.vocabulary = domain.records, domain.vocabulary
         self.has = domain.records != NONE
         self._constrains = domain.constrains
         wanted = (domain.goal_constraints != NONE).sum(0)
@@ -77,12 +78,17 @@ class Records:
         self._costs = costs + _OPENING * domain.opening
         self._is_lasting = self._is_place | domain.opening
         self._minutes = {
-            slot: torch.tensor([_minutes(text) for text in domain.vocabulary[slot]])
+            slot: torch.tensor([minutes_of(text) for text in domain.vocabulary[slot]])
             for slot, kind in enumerate(kinds)
             if kind == "time"
         }
+        vague = [
+            minutes[self._values[:, slot]].isnan() & self.has[:, slot]
+            for slot, minutes in self._minutes.items()
+        ]
+        self._is_vague = torch.stack([torch.zeros(len(self.has), dtype=torch.bool), *vague]).any(0)
         self._days = {
-            slot: _numbered([_day(text) for text in domain.vocabulary[slot]])
+            slot: _numbered([day_of(text) for text in domain.vocabulary[slot]])
             for slot, kind in enumerate(kinds)
             if kind == "date"
         }
@@ -157,6 +163,7 @@ class Records:
         absent = (lacks & ~self.minor).sum(-1)
         far, nowhere = (part & self._is_lasting for part in self.compare(self._implied(held)))
         cost = (differs * self._costs).sum(-1) + torch.where(absent > 1, 1e4, 10.0) * absent
+        cost += 2 * self._is_vague  # "after work" only if there is nothing as near
         cost += (lacks & self.minor).sum(-1)
         cost += _PLACE * ((far & self._is_place).any(-1) + 1.2 * nowhere.any(-1))
         cost += _PLACE / 2 * (~self.has[:, list(asked)]).sum(-1)
@@ -187,9 +194,9 @@ class Records:
             found |= (self._values[:, slots] == torch.tensor(ids)).all(-1)
         return found
 
-    def lasting(self, held: Tensor) -> Tensor:
-        """Returns the values of the opening slot and the place that hold, long ``[S]``."""
-        return torch.where(self._is_lasting, self._implied(held), NONE)
+    def here(self, held: Tensor) -> Tensor:
+        """Returns the values of the place that hold, long ``[S]``."""
+        return torch.where(self._is_place, self._implied(held), NONE)
 
     def is_same_day(self, held: Tensor, change: Mapping[int, int]) -> bool:
         """Returns whether only the part of a day changes."""
@@ -247,23 +254,13 @@ class Records:
         """
         changed = held.clone()
         changed[[*change]] = torch.tensor([*change.values()], dtype=torch.long)
-        distances = self._distances(*self.compare(changed))
+        distances = 2 * self._distances(*self.compare(changed)) + self._is_vague
         distances += self.with_any(refused) * (distances.max() + 1)
         return self._values[int(distances.argmin())].clone()
 
     def is_listed(self, slot: int) -> bool:
         """Returns whether records have values of a slot that constrains them."""
         return bool(self._constrains[slot] & self.has[:, slot].any())
-
-    def freeing(self, held: Tensor) -> list[int]:
-        """Returns the slots each of whose values alone keeps all records out."""
-        found = []
-        for slot in (held >= FIRST_VALUE).nonzero().flatten().tolist():
-            without = held.clone()
-            without[slot] = DONT_CARE
-            if not self.best(without)[0].any():
-                found.append(slot)
-        return found
 
     def conflict(self, held: Tensor) -> tuple[int, ...]:
         """Returns the fewest slots whose values no record combines; empty if one has them all.
@@ -301,18 +298,3 @@ def _numbered(texts: Sequence[str]) -> Tensor:
     """Returns a number for each text, the same for equal texts."""
     numbers = {text: number for number, text in enumerate(texts)}
     return torch.tensor([numbers[text] for text in texts])
-
-
-def _day(text: str) -> str:
-    """Returns the day of a date without the part of the day: "tonight" is today."""
-    words = (read_date(text) or text).split()
-    return " ".join(word for word in words if word not in {*PART_WORDS, "later"})
-
-
-def _minutes(text: str) -> float:
-    """Returns the minutes from midnight of a time of day; NaN of "late at night"."""
-    read = (read_time(text) or "").rstrip("?")
-    if not read.startswith("at "):
-        return torch.nan
-    hour, minute = read.removeprefix("at ").split(":")
-    return 60.0 * int(hour) + int(minute)

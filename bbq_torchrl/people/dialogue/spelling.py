@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import inf
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.values import RESERVED_TEXT, fold
 from bbq_torchrl.people.dialogue.records import completed
 from bbq_torchrl.people.language import Unclear
 from bbq_torchrl.people.language.lexicon import Lexicon
-from bbq_torchrl.people.language.quantities import PART_WORDS, read_time
+from bbq_torchrl.people.language.quantities import PART_WORDS, minutes_of, read_time
 from bbq_torchrl.people.language.words import tokenize
 
 if TYPE_CHECKING:
@@ -20,6 +21,8 @@ if TYPE_CHECKING:
 
 _RESERVED = frozenset(fold(text) for text in RESERVED_TEXT.values())
 _LATER = PART_WORDS - {"morning"} | {"tonight"}
+_SPANS = {"at": (0, 0), "around": (-60, 60), "after": (0, inf), "before": (-inf, 0)}  # minutes
+_CLOSE = 0.8  # the score of a name that fits
 _CLOCK = 4  # words of a time: "half past eleven"
 
 
@@ -60,7 +63,11 @@ class Spelling:
         return {slot: self.lexicon.respell(slot, value) for slot, value in values.items()}
 
     def understood(
-        self, text: str, values: Mapping[str, str], informed: Mapping[str, str]
+        self,
+        text: str,
+        values: Mapping[str, str],
+        informed: Mapping[str, str],
+        unclear: Iterable[Unclear] = (),
     ) -> tuple[dict[str, str], tuple[Unclear, ...]]:
         """Returns a person's values as the records have them, and those that are unclear.
 
@@ -72,6 +79,7 @@ class Spelling:
             text: the person's text.
             values: the values understood, by slot.
             informed: the values of the agent's last act.
+            unclear: the unclear values of the text.
 
         Examples:
             >>> from bbq_torchrl.domains import movie_domain
@@ -80,7 +88,7 @@ class Spelling:
             ({'starttime': '11:35am'}, ())
         """
         found: dict[str, str] = {}
-        unclear = []
+        names = [*unclear]
         for slot, value in self.of(values).items():
             options = self._options(text, slot, value, informed.get(slot))
             if len(options) == 1 and self._has(slot, options[0]):
@@ -90,8 +98,38 @@ class Spelling:
                 words = tokenize(text)
                 place = self.lexicon.place(words, slot, value)
                 typed = value if place is None else " ".join(words[place.start : place.stop])
-                unclear.append(Unclear(slot, typed, several))
-        return found, tuple(unclear)
+                names.append(Unclear(slot, typed, several))
+        return found, tuple(map(self._meant, names))
+
+    def _meant(self, name: Unclear) -> Unclear:
+        """Returns an unclear name with the values that it may mean.
+
+        Of a time such as "after 6:30", they are the times of records, the nearest first. What its
+        slot does not know may be the name of something else.
+        """
+        lexicon, slot = self.lexicon, name.slot
+        if name.candidates or name.is_denied:
+            return name
+        read = read_time(name.text) if lexicon.kinds.get(slot) == "time" else None
+        if read is None:
+            links = {other: lexicon.link(other, name.text) for other in lexicon.slots}
+            slot = max(links, key=lambda other: links[other].score)
+            is_close = links[slot].score > _CLOSE
+            return replace(name, slot=slot, candidates=links[slot].values) if is_close else name
+        relation, clock = read.rstrip("?").split()
+        times = (value for value in lexicon.values(slot) if self._has(slot, value))
+        away = {value: minutes_of(value) - minutes_of(clock) for value in times}
+        fit = (value for value in away if _SPANS[relation][0] <= away[value] <= _SPANS[relation][1])
+        return replace(name, candidates=tuple(sorted(fit, key=lambda value: abs(away[value]))))
+
+    def is_named(self, text: str, values: Mapping[str, str]) -> bool:
+        """Returns whether a text names each of some values in full."""
+        words, lexicon = tokenize(text), self.lexicon
+        places = {slot: lexicon.place(words, slot, value) for slot, value in values.items()}
+        return all(
+            at is not None and lexicon.link(slot, " ".join(words[at.start : at.stop])).is_exact
+            for slot, at in places.items()
+        )
 
     def _has(self, slot: str, value: str) -> bool:
         """Returns whether a record has a value, or the slot constrains no booking."""

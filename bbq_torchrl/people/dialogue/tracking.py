@@ -143,13 +143,13 @@ class Tracking:
             act, state["agent_informs"].tolist(), state["agent_requests"].tolist()
         )
 
-    def kept(self, state: TensorDict) -> dict[str, str]:
+    def kept(self, state: TensorDict | None) -> dict[str, str]:
         """Returns the values that the tracker holds or has set aside, by slot."""
-        return self._coding.values(full(state).tolist())
+        return {} if state is None else self.values(full(state))
 
-    def aside(self, state: TensorDict) -> dict[str, str]:
+    def aside(self, state: TensorDict | None) -> dict[str, str]:
         """Returns the values that the control has set aside, by slot."""
-        return self.values(state["aside"]) if "aside" in state else {}
+        return {} if state is None or "aside" not in state else self.values(state["aside"])
 
     def ids(self, values: Mapping[str, str]) -> list[int]:
         """Returns the ids ``[S]`` of values by slot; 0 for the others."""
@@ -203,6 +203,9 @@ class Acting:
         agent: the policy.
         tracking: the agent's knowledge.
         control: the rules.
+
+    Attributes:
+        place: bool ``[S]``, the slots that say where and when a record is: the essential ones.
     """
 
     def __init__(self, agent: TrainedAgent, tracking: Tracking, control: Control) -> None:
@@ -211,7 +214,7 @@ class Acting:
         self._ticket, self._complete = domain.ticket_slot, domain.complete_slot
         booking = domain.action_index(f"inform({domain.complete_slot})")
         self._booking = torch.arange(len(agent.legal)) == booking
-        self._is_place = torch.tensor([slot in domain.essential for slot in domain.slots])
+        self.place = torch.tensor([slot in domain.essential for slot in domain.slots])
 
     def hear(self, state: TensorDict | None, understood: Frame) -> TensorDict:
         """Returns the state after a person's act; ``state`` is ``None`` before the first.
@@ -335,6 +338,6 @@ class Acting:
         if not {"way_out", "take_back"} <= {*rules} or records.best(full(state))[0].any():
             return state
         row = records.row(full(state), {}, refused)
-        is_told = self._is_place & (row != NONE) & (full(state) < FIRST_VALUE)
+        is_told = self.place & (row != NONE) & (full(state) < FIRST_VALUE)
         held, wished = torch.where(is_told, row, state["held"]), state["wished"]
         return state.replace(held=held, wished=torch.where(is_told, 0, wished))

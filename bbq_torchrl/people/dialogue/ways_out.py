@@ -17,8 +17,6 @@ from bbq_torchrl.people.language.asking import Asking
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
 
-    from torch import Tensor
-
     from bbq_torchrl.people.dialogue.exchange import Memory
     from bbq_torchrl.people.dialogue.records import Records
     from bbq_torchrl.people.dialogue.spelling import Spelling
@@ -34,15 +32,15 @@ change."""
 class WaysOut:
     """Proposes records near to the wishes.
 
-    A proposal names what differs from the wishes and where and when the record is: its values of
-    the domain's essential slots. Who takes it wishes all of that.
+    A proposal names what differs from the wishes and where and when the record is. Who takes it
+    wishes all of that.
 
     Args:
         spelling: the spelling of values.
         tracking: the agent's knowledge.
         records: the domain's records.
         nlg: the nlg.
-        open_slots: the slots that may change if the person has no wishes.
+        place: bool ``[S]``, the slots that say where and when a record is.
     """
 
     def __init__(
@@ -51,13 +49,11 @@ class WaysOut:
         tracking: Tracking,
         records: Records,
         nlg: Generator | EndpointGenerator,
-        open_slots: Sequence[str],
+        place: torch.Tensor,
     ) -> None:
         self._lexicon, self._slots = spelling.lexicon, spelling.domain.slots
         self._tracking, self._records, self._nlg = tracking, records, nlg
-        self._open_slots = open_slots
-        essential = [slot in spelling.domain.essential for slot in self._slots]
-        self._place = torch.tensor(essential)
+        self._place = place
 
     def others(
         self,
@@ -77,7 +73,10 @@ class WaysOut:
             words: what determines the words.
         """
         assert now.state is not None
-        slots, way = moves.named_slots(text, self._lexicon), moves.direction(text)
+        asked, way = moves.others(text), moves.direction(text)
+        slots = moves.named_slots(asked, self._lexicon)
+        for told in (self._tracking.kept(now.state), now.proposal):
+            slots = slots or moves.named_values(asked, told, self._lexicon)
         if not slots and way:
             slots = [slot for slot in self._lexicon.slots if self._lexicon.kinds[slot] == "time"]
         if not slots and question is not None and question.requests and not now.proposal:
@@ -94,6 +93,10 @@ class WaysOut:
                 return None
             return self.alternative(now, reading, words)
         found = self._records.choices(held, number, way)
+        if len(found) < 2 and not way and "wished" in now.state:  # leave out what the agent chose
+            wished = torch.where(now.state["wished"] > 0, held, NONE)
+            wished[number] = held[number]
+            found = self._records.choices(wished, number) or found
         if len(found) < 2:
             refused = self.refused(now)
             change = {number: found[0]} if found else {}
@@ -101,7 +104,7 @@ class WaysOut:
             change = change or nearest(held, refused, slot=number, direction=way, is_here=True)
             if is_met and not change:
                 use = {1: "nothing_later", -1: "nothing_earlier"}.get(way, "no_other")
-                here = torch.where(self._place, self._records.lasting(held), NONE)
+                here = torch.where(self._place, self._records.here(held), NONE)
                 place = self._tracking.values(here)
                 sentence = self._nlg.say(use, [self._slots[number]], values=place, **words)
                 if bool(now.state["offered"]):
@@ -112,7 +115,7 @@ class WaysOut:
             change = change or nearest(held, refused, asked=[number])
             return self.propose(now, reading, change, words)
         slot = self._slots[number]
-        values = [self._values({number: value})[slot] for value in found[:_MAX_CHOICES]]
+        values = [self._records.vocabulary[number][value] for value in found[:_MAX_CHOICES]]
         sentence = self._nlg.say("several", [slot], choices=values, **words)
         asking = Asking(slot=slot, choices=tuple(values))
         answered = Frame("multiple_choice", {}, (slot,), asking.choices)
@@ -144,6 +147,32 @@ class WaysOut:
         change = self._records.nearest(full(now.state), self.refused(now), asked=asked)
         return self.propose(now, reading, change, words, asked)
 
+    def narrowed(self, reading: Understood, held: Mapping[str, str]) -> Understood:
+        """Returns a reading whose unclear names mean only what is left with the other values.
+
+        Args:
+            reading: the meaning of the text.
+            held: the values told before.
+        """
+        informs, unclear = {**reading.frame.informs}, []
+        wishes = torch.tensor(self._tracking.ids({**held, **informs}))
+        for one in reading.unclear:
+            number = self._slots.index(one.slot)
+            names = self._records.vocabulary[number]
+            left: tuple[str, ...] = ()
+            for known in (wishes, self._records.here(wishes)):
+                known[number] = NONE
+                fit = {names[value] for value in self._records.choices(known, number)}
+                left = left or tuple(value for value in one.candidates if value in fit)
+            if self._lexicon.kinds[one.slot] == "time":  # without a fit, the nearest is none's
+                left = left or one.candidates[:1]
+            if len(left) == 1:
+                informs[one.slot] = left[0]
+            else:
+                unclear.append(replace(one, candidates=left))
+        frame = replace(reading.frame, informs=informs)
+        return replace(reading, frame=frame, unclear=tuple(unclear))
+
     def refused(self, now: Memory) -> list[list[tuple[int, int]]]:
         """Returns the refused proposals as pairs of slot and value id."""
         refused = (self._pairs(one) for one in now.refused)
@@ -156,6 +185,11 @@ class WaysOut:
             return None
         change = dict(self._pairs(before.proposal))
         return self._tracking.values(self._records.row(full(state), change, self.refused(before)))
+
+    def refuse(self, now: Memory) -> Memory:
+        """Returns the memory after the offered record is refused."""
+        offer = torch.tensor(self._tracking.ids(self.spoken_of(now) or {}))
+        return replace(now, refused=(*now.refused, self._tracking.values(self._place * offer)))
 
     def propose(
         self,
@@ -183,28 +217,22 @@ class WaysOut:
         ids = torch.where(self._place & (row != held), row, 0)
         ids[[*change, *asked]] = row[[*change, *asked]]
         proposal = self._tracking.values(ids)
+        conflict = {self._slots[n]: records.vocabulary[n][held[n]] for n in records.conflict(held)}
         times = now.times + 1
         if not change or times > _MAX_PROPOSALS:
-            told = records.freeing(held) or (held >= FIRST_VALUE).nonzero().flatten().tolist()
-            names = [self._slots[slot] for slot in told][:_MAX_NAMED] or self._open_slots
+            told = self._tracking.values(torch.where(held >= FIRST_VALUE, held, self._place * row))
+            names = [*conflict] or [*told][:_MAX_NAMED]
             sentence = self._nlg.say("nothing", names, **words)
             now = replace(now, proposal={}, times=0)
             return Answer(sentence, reading, reading.frame, Frame("not_sure"), now)
-        conflict = {slot: int(held[slot]) for slot in records.conflict(held)}
         is_near = not conflict or records.is_same_day(held, change)
         use, named = "another" if is_near else "way_out", proposal
         if proposal == now.proposal:
             use, named = "whole", self._tracking.values(torch.where(self._place, row, ids))
-        sentence = self._nlg.say(use, values=self._values(conflict), other=named, **words)
+        sentence = self._nlg.say(use, values=conflict, other=named, **words)
         now = replace(now, proposal=proposal, times=times)
         return Answer(sentence, reading, reading.frame, Frame("not_sure", proposal), now)
 
     def _pairs(self, values: Mapping[str, str]) -> list[tuple[int, int]]:
         """Returns the values that the domain has as pairs of slot and value id."""
         return [(slot, value) for slot, value in enumerate(self._tracking.ids(values)) if value]
-
-    def _values(self, ids: Mapping[int, int]) -> dict[str, str]:
-        """Returns the values of ids by slot."""
-        found: Tensor = torch.zeros(len(self._slots), dtype=torch.long)
-        found[[*ids]] = torch.tensor([*ids.values()], dtype=torch.long)
-        return self._tracking.values(found)

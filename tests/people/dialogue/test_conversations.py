@@ -92,6 +92,38 @@ def test_an_offer_says_where_and_when_it_is(partner, offer):
     assert all(value.lower() in booked.text.lower() for value in place.values())
 
 
+def test_plain_openings_are_not_checked_and_a_yes_is_true(partner):
+    assert not [text for text in TEXTS["plain"] if said(partner, None, text).memory.asking.is_check]
+    for case in TEXTS["any"]:
+        answer = said(partner, None, case["text"])
+        assert answer.text.startswith("Yes") == case["is_yes"], case
+
+
+def test_what_is_said_is_held_or_asked_about(partner):
+    for case in TEXTS["said"]:
+        answer = said(partner, None, case["text"])
+        waiting = answer.memory.asking.waiting
+        known = {**answer.understood.informs, **(waiting.informs if waiting else {})}
+        assert {*case["slots"]} <= {*known, *answer.answered.requests, *answer.answered.informs}, (
+            case
+        )
+
+
+def test_a_correction_is_no_bare_no(partner):
+    before = opened(partner, "two tickets for barbie on christmas eve at 5 pm")
+    answer = said(partner, before, "no, I said Seattle, not Houston")
+    assert answer.understood.informs["city"] == "seattle"
+
+
+def test_who_asks_for_others_than_the_offered_gets_them_and_the_offer_stands(partner, offer):
+    for text in TEXTS["others"]:
+        answer = said(partner, offer, text)
+        act = answer.answered
+        is_told = "no other" in answer.text.lower()
+        assert is_told or act.choices or act.informs.get("moviename", "wonka") != "wonka", text
+        assert not answer.ended
+
+
 def test_the_same_is_not_proposed_three_times(partner):
     text = "two tickets for barbie on christmas eve at 5 pm"
     before = opened(partner, text)

@@ -32,7 +32,6 @@ def test_the_one_record_is_near_until_it_is_refused(kept, movie):
     city, reno = movie.slots.index("city"), int(ids(city="reno").max())
     assert records.nearest(held) == {city: reno}
     assert records.choices(held, city) == [reno]
-    assert records.freeing(held) == [city]
     assert records.conflict(held) == (city,)
     assert records.nearest(held, [[(city, reno)]]) == {}
     assert records.nearest(ids(**WONKA)) == {}
@@ -49,9 +48,8 @@ def test_a_record_of_absent_values_contradicts_and_offers_nothing(kept, movie):
     assert not records.is_listed(movie.slots.index("city"))
 
 
-def test_where_no_wish_alone_is_in_the_way_none_is_named(kept):
+def test_what_no_record_has_is_in_the_way_whatever_the_others(kept):
     records, ids = kept(WONKA, {**WONKA, "moviename": "barbie", "genre": "horror"})
     held = ids(moviename="nope", city="newark")
-    assert records.freeing(held) == []
     assert len(records.conflict(held)) == 1  # no record has it, whatever the others
     assert len(records.nearest(held)) == 2
