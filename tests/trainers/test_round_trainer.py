@@ -2,6 +2,7 @@
 
 import csv
 from types import SimpleNamespace
+from unittest.mock import MagicMock
 
 import pytest
 import torch
@@ -212,27 +213,6 @@ def test_parts_that_do_not_fit_are_refused(tmp_path, changed):
         make_trainer(tmp_path, **changed)
 
 
-class Still:
-    """An optimizer that neither steps nor clears the gradients."""
-
-    replicas = 2
-
-    def zero_grad(self):
-        pass
-
-    def step(self, active=None):
-        pass
-
-    def scale_lr(self, share):
-        pass
-
-    def state_dict(self):
-        pass
-
-    def load_state_dict(self, state_dict):
-        pass
-
-
 def batch():
     return SimpleNamespace(transitions=transitions((2,)), active=[True, True])
 
@@ -254,7 +234,7 @@ def test_an_update_has_the_gradients_and_the_metrics_of_each_loss(q):
         gradient.zero_()
     torch.manual_seed(0)
     losses = vime_losses(q_loss, dynamics)
-    learner = Learner(losses, None, Still(), None, batch_size=2, freezes=1, epochs=1)
+    learner = Learner(losses, None, MagicMock(replicas=2), None, batch_size=2, freezes=1, epochs=1)
     learner.update(learned)
 
     torch.testing.assert_close(gradients(q_loss, dynamics), expected)
