@@ -116,6 +116,7 @@ def test_what_is_left_out_or_changed_is_said_by_file(imported, tmp_path):
     assert domain.error_values["pickup"] == (*PICKUPS, "the moon")
 
 
+@pytest.mark.slow
 def test_the_public_movies_can_be_imported_and_play_as_they_do(tcbot, miulab, tmp_path, capsys):
     files = ("slot_set.txt", "dia_acts.txt", "movie_kb.1k.p")
     files += ("user_goals_first_turn_template.v2.p", "dicts.v3.p")

@@ -51,9 +51,7 @@ def played(config, trainer, actor, round_number):
     return evaluate(env, config.agent.make_evaluation(actor)[1], 15, seed=seed)
 
 
-@pytest.mark.parametrize(
-    "agent", nightly(AGENTS, ["new draws, by the dialogue", "domain extension"])
-)
+@pytest.mark.parametrize("agent", nightly(AGENTS, ["domain extension"]))
 def test_a_row_has_what_the_policy_does_and_training_is_bitwise_the_same(small, tmp_path, agent):
     learned, rows = [], []
     for every in (0, 2):

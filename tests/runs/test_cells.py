@@ -4,6 +4,7 @@ import dataclasses
 from itertools import cycle, product
 
 import pytest
+import tiny
 import torch
 from tiny import TINY, nightly, rows
 from torch.testing import assert_close
@@ -128,8 +129,9 @@ def test_the_dynamics_of_what_does_not_exist_yet_stay_at_the_prior(tmp_path):
     [(0, [0.5, 0.1, 0.1, 0.1]), (0.5, [0.5, 0.3, 0.1, 0.1]), (1, [0.5, 0.4, 0.3, 0.2])],
 )
 def test_a_schedule_falls_over_its_share_of_the_rounds(fraction, epsilons):
-    given = ["explore.eps_init=.5", "explore.eps_end=.1", f"explore.anneal_fraction={fraction}"]
-    config = compose(["agent=dqn", "protocol.rounds=4", *given])
+    given = ("explore.eps_init=.5", "explore.eps_end=.1", "domain=hotel")
+    config = tiny.composed("agent=dqn", "protocol.rounds=4", *given)
+    config.explore.anneal_fraction = fraction
     env = config.env.make(config.domain.make(), (1, 2))
     agent = make_agent(config, env)
     seen = []

@@ -36,6 +36,7 @@ def refused(main, *arguments, cwd):
     return err
 
 
+@pytest.mark.slow  # daily, tests/trainers/test_checkpoints.py
 def test_neither_evaluate_nor_resume_runs_what_is_planted(copy, kept, tmp_path):
     folder = copy(kept)
     for archive in (folder / "checkpoint").iterdir():
