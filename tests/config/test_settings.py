@@ -80,7 +80,7 @@ def test_what_is_allowed_says_so(allowed, text, accepted, refused):
     assert not any(map(allowed.test, refused))
 
 
-FAULTS = ["[" * 5_000, "a: [", "a: *b", "a: \x00", "a: 1\na: 2", '!!int ""', "!!bool x"]
+FAULTS = ["[" * 1_000, "a: [", "a: *b", "a: \x00", "a: 1\na: 2", '!!int ""', "!!bool x"]
 FAULTS += ["!!timestamp x", "2001-99-99", "!!python/object/apply:os.system [x]", "9" * 5_000]
 
 

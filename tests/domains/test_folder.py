@@ -121,7 +121,7 @@ BOMB = ", ".join(f"&a{n + 1} [*a{n}, *a{n}]" for n in range(60))
 WRITTEN = [
     (YAML, "", ["None"]),
     (YAML, "a: [", [YAML]),
-    (YAML, "a: " + "[" * 5_000, [YAML]),
+    (YAML, "a: " + "[" * 1_000, [YAML]),
     (YAML, f"a: [&a0 [x, x], {BOMB}]", []),
     (YAML, "!!python/object/apply:os.system [touch marker]", [YAML]),
     (CSV, "", ["header"]),
