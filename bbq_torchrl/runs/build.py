@@ -14,7 +14,7 @@ import torch
 import bbq_torchrl
 from bbq_torchrl.data.replay import TRANSITION_KEYS
 from bbq_torchrl.options import Task
-from bbq_torchrl.options.task import action_mask_key, replica_values, spread
+from bbq_torchrl.options.task import action_mask_key, lists, spread
 from bbq_torchrl.runs.folders import config_fingerprint, finished_result
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import (
@@ -230,10 +230,9 @@ def round_evaluator(
 
 def values_as_metrics(config: Config) -> dict[str, Callable[[], Tensor]]:
     """Returns a metric for each key with a list: the values of the replicas."""
-    per_replica = replica_values(config)
     return {
-        key: torch.tensor([values[key] for values in per_replica], dtype=torch.float64).clone
-        for key in per_replica[0]
+        key: torch.tensor(spread(values, config.replicas), dtype=torch.float64).clone
+        for key, values in lists(config)
     }
 
 

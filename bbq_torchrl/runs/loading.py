@@ -115,17 +115,12 @@ def trained_policy(
     with float32_by_default():
         agent = make_agent(config, env)
     name, policy = config.agent.make_evaluation(agent.actor, mode)
-    best = None
-    if weights == "best":
-        if is_shipped(folder):
-            raise ConfigError(f"weights must be last for shipped:{folder.name}, got 'best'")
-        not_evaluated = ConfigError(
-            f"weights must be last for {folder}, which was not evaluated during training "
+    best = BestWeights(policy, config.replicas) if weights == "best" else None
+    if best is not None and (is_shipped(folder) or not config.protocol.eval_every):
+        raise ConfigError(
+            f"weights must be last for {folder}, which has no evaluation during training "
             f"(protocol.eval_every={config.protocol.eval_every}), got 'best'"
         )
-        if not config.protocol.eval_every:
-            raise not_evaluated
-        best = BestWeights(policy, config.replicas)
     saved: dict[str, Any] = {"loss": agent.loss} if best is None else {"best": best}
     fingerprint = config_fingerprint(config)
     if is_shipped(folder):
@@ -135,8 +130,6 @@ def trained_policy(
         raise ConfigError(f"{folder} has no checkpoint yet")
     enter_round(env, max(rounds - 1, 0))
     if best is not None:
-        if bool((best.round < 0).any()):
-            raise not_evaluated
         best.put_back()
     check_weights(policy, folder)
     return policy, name

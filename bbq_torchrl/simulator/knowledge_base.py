@@ -19,9 +19,6 @@ _PAIRS = 0x5555555555555555
 _QUADS = 0x3333333333333333
 _BYTES = 0x0F0F0F0F0F0F0F0F
 _ONES = 0x0101010101010101
-# Flags (a byte each) ordered and packed at a time during construction. All at once, a hundred
-# thousand records would take a gigabyte.
-_BUILD_BLOCK = 2**22
 
 
 class KnowledgeBase(Movable):
@@ -209,14 +206,7 @@ def _pack_in_orders(members: Tensor, orders: Sequence[Tensor], n_positions: int)
         orders: long ``[positions]`` each: the record at each position, or -1.
         n_positions: number of positions of a packed set, a multiple of the bits of a word.
     """
-    n_sets = members.shape[0]
-    packed = torch.empty((len(orders) * n_sets, n_positions // WORD_BITS), dtype=torch.long)
-    block = max(1, _BUILD_BLOCK // n_positions)
-    for number, order in enumerate(orders):
-        for first in range(0, n_sets, block):
-            part = pack(_ordered(members[first : first + block], order, n_positions))
-            packed[number * n_sets + first :][: part.shape[0]] = part
-    return packed
+    return torch.cat([pack(_ordered(members, order, n_positions)) for order in orders])
 
 
 def _ordered(members: Tensor, order: Tensor, n_positions: int) -> Tensor:

@@ -78,13 +78,9 @@ class Report:
     figures: Mapping[str, tuple[str, Callable[[], Figure]]]
     data: Sequence[Table] = ()
 
-    @property
-    def body(self) -> str:
-        """The report without its heading, as Markdown."""
-        return "\n\n".join(filter(None, map(str, self.parts)))
-
     def __str__(self) -> str:
-        return f"# {self.title}\n\n{self.body}\n"
+        """Returns the report as Markdown."""
+        return "\n\n".join([f"# {self.title}", *filter(None, map(str, self.parts))]) + "\n"
 
     def write(self, folder: Path) -> None:
         """Writes ``<name>.md``, each table as CSV, and each figure as PNG and SVG."""
