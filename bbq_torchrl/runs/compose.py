@@ -1,18 +1,22 @@
-"""Composing configurations by Hydra, and turning them into checked dataclasses."""
+"""Composing configurations by Hydra into checked dataclasses, and the help on their keys."""
 
 from __future__ import annotations
 
 import argparse
 import contextlib
 import copy
+import inspect
+import json
 import os
 import re
 import sys
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
-from dataclasses import fields
+from dataclasses import MISSING, Field, fields
 from functools import reduce
 from operator import getitem
 from pathlib import Path
+from textwrap import wrap
 from typing import Any, TypeVar
 
 from hydra import compose as hydra_compose, initialize_config_dir
@@ -32,10 +36,17 @@ from bbq_torchrl.options import (
     schemas,
     validate,
 )
-from bbq_torchrl.options.registry import conf_folder, load_folder, options_folder
+from bbq_torchrl.options.registry import (
+    EXPERIMENT,
+    conf_folder,
+    load_folder,
+    options,
+    options_folder,
+)
 from bbq_torchrl.options.root import ROOTS, register_options
 from bbq_torchrl.settings import ConfigError, walk
-from bbq_torchrl.utils.text import sentence
+from bbq_torchrl.utils.output import page
+from bbq_torchrl.utils.text import sentence, shown
 
 Root = TypeVar("Root", Config, EvaluateConfig, CalibrateConfig)
 
@@ -219,3 +230,99 @@ def train_command() -> list[str]:
     in_checkout = (conf_folder().parent / "train.py").is_file()
     by_file = in_checkout and Path(sys.argv[0]).stem != "bbq"
     return [*(["python", "train.py"] if by_file else ["bbq", "train"]), *flag]
+
+
+_BEGIN = """\
+Trains an agent on task-oriented dialogues and evaluates it.
+
+usage: bbq train [<group>=<option> ...] [<key>=<value> ...] [--multirun]
+       bbq train --help [<group> | <group>=<option> | <key> ...]    meaning and values of keys
+"""
+
+_END = f"""\
+Examples
+  bbq train agent=bbqn explore=thompson env=domain_ext
+  bbq train protocol.rounds=20 replicas=3 domain=miulab domain.path=<folder>
+  bbq train replicas=4 'agent.prior_std=[.05,.1,.2,.4]'
+  bbq train --multirun agent=bbqn,dqn 'seed=range(0,3)'
+  bbq train resume=<run folder>
+
+--cfg job prints all keys of a command. All keys: {page("configuration")}
+"""
+
+
+def usage(words: Sequence[str] = ()) -> str:
+    """Returns the help of ``bbq train``.
+
+    Args:
+        words: groups, options (``agent=dqn``) and keys (``agent.lr``) to explain; without any, all
+            groups and options are listed.
+
+    Raises:
+        ConfigError: a word names no group, option or key.
+    """
+    lines = [line for word in words for line in _explained(word)]
+    return "\n".join(lines or [_BEGIN, *_overview(), "", _END.rstrip()]) + "\n"
+
+
+def _overview() -> Iterator[str]:
+    yield from _keys(Config)
+    for group, known in schemas().items():
+        yield f"\n{group}="
+        yield from (f"  {name:<20} {summary(schema)}" for name, schema in known.items())
+    places = defaultdict(list)
+    for name in options(EXPERIMENT):
+        folder, _, file = name.rpartition("/")
+        places[folder].append(file)
+    yield f"\n+{EXPERIMENT}="
+    for folder, names in places.items():
+        start = f"  {folder + '/' if folder else '':<20} "
+        yield from wrap(", ".join(names), 100, initial_indent=start, subsequent_indent=" " * 23)
+
+
+def _explained(word: str) -> Iterator[str]:
+    """Yields the lines about a group, an option or a key."""
+    name, _, value = word.partition("=")
+    group, _, key = name.partition(".")
+    known = schemas().get(group, {})
+    chosen = {value: known[value]} if value in known else known
+    having: dict[str, list[str]] = defaultdict(list)
+    if name in _by_name(Config):
+        yield from _keys(Config, key=name)
+    elif not key and chosen:
+        for option, schema in chosen.items():
+            yield f"{group}={option}: {summary(schema)}"
+            yield from _keys(schema, f"{group}.")
+    else:
+        for option, schema in chosen.items():
+            for line in _keys(schema, f"{group}.", key):
+                having[line].append(option)
+        if not having:
+            text = "--help takes groups, options and keys of bbq train"
+            raise ConfigError(f"{text}, got {shown(word)}")
+        yield from (f"{line} ({', '.join(names)})" for line, names in having.items())
+
+
+def _by_name(schema: type) -> dict[str, Field[Any]]:
+    groups = {"name", *schemas()}
+    return {item.name: item for item in fields(schema) if item.name not in groups}
+
+
+def _keys(schema: type, prefix: str = "", key: str | None = None) -> Iterator[str]:
+    """Yields a line for each key, or for one, with default, meaning and what is allowed."""
+    for name, item in _by_name(schema).items():
+        if key in (None, name):
+            allowed = item.metadata["allowed"].text
+            start = f"  {prefix}{name}={default(item)}"
+            yield f"{start:<34} {item.metadata['meaning']}; {allowed}"
+
+
+def summary(schema: type) -> str:
+    """Returns the first paragraph of an option's docstring, as one line."""
+    return " ".join((inspect.getdoc(schema) or "").split("\n\n")[0].split())
+
+
+def default(item: Field[Any]) -> str:
+    """Returns a key's default as YAML."""
+    value = item.default if item.default_factory is MISSING else item.default_factory()
+    return str(value) if isinstance(value, str) else json.dumps(value)

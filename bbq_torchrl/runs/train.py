@@ -26,12 +26,11 @@ from bbq_torchrl.options import Config
 from bbq_torchrl.options.logger import RunLogger
 from bbq_torchrl.options.registry import conf_folder
 from bbq_torchrl.options.root import register_options
-from bbq_torchrl.runs.compose import quoted, take_config_dir, train_command
+from bbq_torchrl.runs.compose import quoted, take_config_dir, train_command, usage
 from bbq_torchrl.runs.folders import (
     config_fingerprint,
 )
 from bbq_torchrl.runs.prepare import final_config, run_job
-from bbq_torchrl.runs.usage import usage
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.files import CONFIG

@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl.options import CalibrateConfig, Config, EvaluateConfig, explorations, schemas
 from bbq_torchrl.options.registry import EXPERIMENT, conf_folder, options
 from bbq_torchrl.options.root import defaults
-from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.runs.usage import default as written, summary
+from bbq_torchrl.runs.compose import compose, default as written, summary
 from bbq_torchrl.search.definition import SEARCH, SearchConfig
 from bbq_torchrl.settings import REQUIRED
 from scripts.docs_blocks.common import block, code, table

@@ -18,8 +18,8 @@ from bbq_torchrl import load_run
 from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.runs.build import divergence
+from bbq_torchrl.runs.compose import usage
 from bbq_torchrl.runs.train import main as train_main, run
-from bbq_torchrl.runs.usage import usage
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import evaluate as evaluate_policy
 
