@@ -140,7 +140,8 @@ class ErrorModel(Movable):
         if self.slot_error_mode == "delete":
             return torch.where(is_hit, NONE, informs)
         if self.slot_error_mode == "value":
-            return torch.where(is_hit & self._has_values, self._other_value(draws), informs)
+            place = self._first + index_below(draws["error_value"], self._count)
+            return torch.where(is_hit & self._has_values, self._values.take(place), informs)
         if self.slot_error_mode == "slot":
             is_value, is_slot = torch.zeros_like(is_hit), is_hit
         else:
@@ -150,10 +151,6 @@ class ErrorModel(Movable):
         is_spared = ~is_hit | (is_value & ~self._has_values)
         spared = torch.where(is_spared, informs, NONE)
         return self._overlay(spared, is_value & self._has_values, is_slot, draws, active)
-
-    def _other_value(self, draws: TensorDictBase) -> Tensor:
-        """Draws an error value of each slot. Returns value ids, long ``[*B, S]``."""
-        return self._values.take(self._first + index_below(draws["error_value"], self._count))
 
     def _overlay(
         self,

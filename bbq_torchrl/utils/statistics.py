@@ -128,21 +128,17 @@ def estimate(
         >>> print(estimate([0.35, 0.47]))
         0.410 [0.000, 1.000]
     """
-    data, (least, most) = _finite(values), bounds
-    if data.min() < least - ROUNDING or data.max() > most + ROUNDING:
-        raise ValueError(f"values must be from {least:g} to {most:g}, got {list(values)}")
+    data, (least, most) = np.asarray(values, dtype=float), bounds
+    is_allowed = np.isfinite(data) & (data >= least - ROUNDING) & (data <= most + ROUNDING)
+    if data.size == 0 or not is_allowed.all():
+        raise ValueError(
+            f"values must be finite, from {least:g} to {most:g}, at least one, got {list(values)}"
+        )
     if data.size == 1:
         return Estimate(float(data[0]), spec=spec)
     mean = float(data.mean())
     half = float(stats.t.ppf((1 + CONFIDENCE) / 2, data.size - 1) * stats.sem(data))
     return Estimate(mean, max(least, mean - half), min(most, mean + half), spec)
-
-
-def _finite(values: Sequence[float]) -> Any:
-    data = np.asarray(values, dtype=float)
-    if data.size == 0 or not np.isfinite(data).all():
-        raise ValueError(f"values must be finite numbers, at least one, got {list(values)}")
-    return data
 
 
 def t_test(differences: Sequence[float]) -> float:
