@@ -104,7 +104,6 @@ def test_rows_take_the_place_of_the_same_version_and_part(tmp_path):
             Row("a", "speed", "turns/s", 99.0, 100.0, "higher", torch="2.14.1"),
             "| speed | turns/s | 99 | ≥ 100 | no | 2.14.1 |",
         ),
-        (Row("a", "time", "s", 1.0, 1.0, torch="2.14.1"), "| time | s | 1 | ≤ 1 | yes | 2.14.1 |"),
         (
             Row("a", "other", "ms", 3.14159, torch="2.14.1"),
             "| other | ms | 3.14 | – | – | 2.14.1 |",

@@ -134,11 +134,9 @@ def test_references_are_drawn_where_all_runs_have_the_same_users(add):
                 ("mc", "thompson", "BBQN-MC-VIME-MAP"),
                 ("map", "thompson_boltzmann", "Soft BBQN-VIME-MAP"),
                 ("map", "greedy", "BBQN-VIME-MAP, explore=greedy"),
-                ("map", "boltzmann", "BBQN-VIME-MAP, explore=boltzmann"),
             )
         ),
         ({"name": "dqn", "double": True}, "boltzmann", {"name": "none"}, "Double DQN-Boltzmann"),
-        ({"name": "dqn", "noisy": True}, "noisy", {"name": "none"}, "Noisy DQN"),
         (
             *({"name": "dqn", "noisy": True}, "epsilon_greedy", {"name": "none"}),
             "Noisy DQN, explore=epsilon_greedy",
