@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from abc import abstractmethod
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, ClassVar
 
 from bbq_torchrl.options.registry import Option, register
-from bbq_torchrl.options.task import check_falls, keywords, replica_column
+from bbq_torchrl.options.task import keywords, replica_column, spread
 from bbq_torchrl.settings import (
     BOOLEAN,
     COUNT,
@@ -81,7 +82,13 @@ class GreedyActing(ExploreOption):
 
 @dataclass
 class AnnealedOption(ExploreOption):
-    """A strategy with a number that falls from its start to its end."""
+    """A strategy with a number that falls from its start to its end.
+
+    Attributes:
+        falls: the keys of the start and of the end.
+    """
+
+    falls: ClassVar[tuple[str, str]]
 
     anneal_by: str = setting(
         "rounds", one_of("rounds", "success"), "what it falls with: rounds or a replica's success"
@@ -91,18 +98,25 @@ class AnnealedOption(ExploreOption):
     )
 
     def check(self) -> None:
-        """Refuses a fall over no success."""
+        """Refuses a fall over no success, and a number that rises for any replica."""
         if self.anneal_by == "success" and not self.anneal_fraction:
             raise ConfigError(
                 "explore.anneal_fraction must be above 0 with explore.anneal_by=success, got "
                 f"{self.anneal_fraction:g}"
             )
+        (first, last), (start, end) = self.falls, (getattr(self, key) for key in self.falls)
+        # All numbers of replicas that both lengths divide give the same pairs.
+        both = (len(value) if isinstance(value, list) else 1 for value in (start, end))
+        replicas = math.lcm(*both)
+        pairs = zip(spread(start, replicas), spread(end, replicas), strict=True)
+        if any(before < after for before, after in pairs):
+            raise ConfigError(
+                f"explore.{first} must be at least explore.{last} ({end}), got {start}"
+            )
 
-    def schedule(
-        self, start: Values, end: Values, task: Task
-    ) -> tuple[float | Tensor, float | Tensor, dict[str, Any]]:
+    def schedule(self, task: Task) -> tuple[float | Tensor, float | Tensor, dict[str, Any]]:
         """Returns start, end and the schedule's keywords for an exploration module."""
-        first, last = replica_column(start, task), replica_column(end, task)
+        first, last = (replica_column(getattr(self, key), task) for key in self.falls)
         if self.anneal_by == "rounds":
             rounds = max(1, round(self.anneal_fraction * task.rounds))
             return first, last, {"annealing_num_steps": rounds}
@@ -121,10 +135,7 @@ class EpsilonGreedy(AnnealedOption):
     eps_init: Values = setting(0.04, per_replica(PROBABILITY), "epsilon in the first round")
     eps_end: Values = setting(0.01, per_replica(PROBABILITY), "epsilon after annealing")
 
-    def check(self) -> None:
-        """Refuses an epsilon that rises."""
-        super().check()
-        check_falls(self, "eps_init", "eps_end")
+    falls: ClassVar[tuple[str, str]] = ("eps_init", "eps_end")
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
         """The policy, followed by a module that replaces its action."""
@@ -132,7 +143,7 @@ class EpsilonGreedy(AnnealedOption):
 
         from bbq_torchrl.exploration import BatchedEGreedy
 
-        start, end, fall = self.schedule(self.eps_init, self.eps_end, task)
+        start, end, fall = self.schedule(task)
         spec, mask = task.action_spec, task.action_mask_key
         epsilon = BatchedEGreedy(spec, start, end, action_mask_key=mask, **fall)
         return TensorDictSequential(greedy, epsilon), {"epsilon": lambda: epsilon.eps.squeeze(-1)}
@@ -149,10 +160,7 @@ class BoltzmannActing(AnnealedOption):
 
     requires: ClassVar[tuple[str, ...]] = ("values",)
 
-    def check(self) -> None:
-        """Refuses a temperature that rises."""
-        super().check()
-        check_falls(self, "temperature_init", "temperature_end")
+    falls: ClassVar[tuple[str, str]] = ("temperature_init", "temperature_end")
 
     def make(self, actor: QValueActor, greedy: TensorDictModuleBase, task: Task) -> Exploration:
         """The policy, which writes the values, and a module that draws an action from them."""
@@ -160,7 +168,7 @@ class BoltzmannActing(AnnealedOption):
 
         from bbq_torchrl.exploration import Boltzmann
 
-        start, end, fall = self.schedule(self.temperature_init, self.temperature_end, task)
+        start, end, fall = self.schedule(task)
         boltzmann = Boltzmann(start, end, action_mask_key=task.action_mask_key, **fall)
         return (
             TensorDictSequential(greedy, boltzmann),

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, fields
 from typing import TYPE_CHECKING, Any
 
@@ -148,17 +147,6 @@ def lists(config: Any) -> Iterator[tuple[str, list[Any]]]:
     for key, item, value in walk(config):
         if isinstance(value, list) and item.metadata["allowed"].per_replica:
             yield key, value
-
-
-def check_falls(option: Option, first: str, last: str) -> None:
-    """Refuses a schedule, given by two keys of an option, that rises for any replica."""
-    start, end = getattr(option, first), getattr(option, last)
-    # All numbers of replicas that both lengths divide give the same pairs.
-    replicas = math.lcm(*(len(value) if isinstance(value, list) else 1 for value in (start, end)))
-    pairs = zip(spread(start, replicas), spread(end, replicas), strict=True)
-    if any(before < after for before, after in pairs):
-        group = option.group
-        raise ConfigError(f"{group}.{first} must be at least {group}.{last} ({end}), got {start}")
 
 
 def over_replicas(value: Values, task: Task) -> float | Tensor:
