@@ -118,12 +118,13 @@ class Partner:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
         is_offered = before.state is not None and bool(before.state["offered"])
         if not told.text:
-            return self._reply(now, before, reading, text, question, words, seed)
+            asks = moves.asks(text)
+            return self._reply(now, before, reading, text, question, words, seed, asks)
         is_only = not told.rest or (moves.accepts(told.rest) and (is_offered or not told.is_yes))
         if is_only:
             answer = self._say(now, self._nlg.say("stands", **words), reading)
         else:
-            answer = self._reply(now, before, reading, told.rest, question, words, seed)
+            answer = self._reply(now, before, reading, told.rest, question, words, seed, True)
         informs = {**told.values, **answer.answered.informs}
         return replace(
             answer,
@@ -147,8 +148,20 @@ class Partner:
         question: Frame | None,
         words: dict[str, Any],
         seed: int,
+        asks: bool,
     ) -> Answer:
-        """Returns the answer to a text with a meaning."""
+        """Returns the answer to a text with a meaning.
+
+        Args:
+            now: the memory after the text.
+            before: the memory before it.
+            reading: the meaning.
+            text: the text, without the questions that are answered already.
+            question: the agent's act that it answers.
+            words: what determines the words.
+            seed: the seed of the policy.
+            asks: whether the whole text asks something.
+        """
         rules = self.control.rules
         is_offered = before.state is not None and bool(before.state["offered"])
         reading = self._hear.leaving(reading, text, is_offered)
@@ -175,8 +188,11 @@ class Partner:
                 now = replace(now, proposal={})
             elif is_no_more and not others:
                 return self._ways_out.alternative(now, reading, words)
+            elif "yes_ends" in rules and self._hear.is_bare(reading.frame, "thanks"):
+                # A yes to what is proposed books nothing that was offered before.
+                return self._say(now, self._nlg.say("stands", **words), reading)
         elif is_offered and "yes_ends" in rules and not others:
-            reading, is_booked = self._to_offer(before, reading, text)
+            reading, is_booked = self._to_offer(before, reading, text, asks)
             if reading.frame.act == "not_sure" and not reading.unclear:
                 return self._say(now, self._nlg.say("stands", **words), reading)
         elif "book" in rules and moves.accepts(text) and self._hear.is_bare(reading.frame):
@@ -302,13 +318,15 @@ class Partner:
         frame = Frame("request" if requests else "inform", {**proposal, **told}, requests)
         return replace(said, frame=frame, confidence=max(said.confidence, _DOUBTFUL))
 
-    def _to_offer(self, before: Memory, reading: Understood, text: str) -> tuple[Understood, bool]:
+    def _to_offer(
+        self, before: Memory, reading: Understood, text: str, asks: bool
+    ) -> tuple[Understood, bool]:
         """Returns the meaning of a reply to an offer, and whether it is a yes that adds values.
 
         It is "thanks" if it accepts and says nothing else, and "not sure" if it neither accepts nor
         says anything that can be acted on.
         """
-        frame, asks = reading.frame, moves.asks(text)
+        frame = reading.frame
         assert before.state is not None
         offer = self._tracking.kept(before.state)
         beside = self._beside_yes(before, text, offer)

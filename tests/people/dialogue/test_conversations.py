@@ -124,6 +124,14 @@ def test_who_asks_for_others_than_the_offered_gets_them_and_the_offer_stands(par
         assert not answer.ended
 
 
+def test_what_is_proposed_beside_an_offer_is_not_booked_as_the_offer(partner, offer):
+    before = said(partner, offer, "anything later than that?")
+    assert before.memory.proposal.keys() == {"starttime"}
+    time = before.memory.proposal["starttime"]
+    for text in (f"Lovely, {time}.", f"Splendid, {time}. Is it still in Tampa?", "is that wonka?"):
+        assert said(partner, before, text).ended != "agent", text
+
+
 def test_the_same_is_not_proposed_three_times(partner):
     text = "two tickets for barbie on christmas eve at 5 pm"
     before = opened(partner, text)
