@@ -48,6 +48,8 @@ from bbq_torchrl.utils.text import FaultsError, shown
 if TYPE_CHECKING:
     from collections.abc import Callable, Iterable, Mapping, Sequence
 
+    _Tell = Callable[..., None]
+
 SPECIFICATION_FILE = "domain.yaml"
 RECORDS_FILE = "knowledge_base.csv"
 GOALS_FILE = "goals.jsonl"
@@ -124,12 +126,11 @@ def load_domain(path: str | Path) -> Domain:
 
     Raises:
         FileNotFoundError: if the folder or one of its files is missing.
-        FaultsError: a ``ValueError``, if files are damaged or contradict each other. It lists the
-            first damage of each file, or else all contradictions, with file, line and what is
-            allowed.
+        FaultsError: a ``ValueError``, if files are damaged or contradict each other. It lists all
+            damage, or else all contradictions, each with file, line and what is allowed.
     """
     folder = Path(expanduser(path))
-    readers: dict[str, Callable[[str], Any]] = {
+    readers: dict[str, Callable[[str, _Tell], Any]] = {
         SPECIFICATION_FILE: _specification,
         RECORDS_FILE: _records,
         GOALS_FILE: _goals,
@@ -140,10 +141,11 @@ def load_domain(path: str | Path) -> Domain:
     damage: list[str] = []
     contents = []
     for name, read in readers.items():
+        tell = partial(_tell, damage, name)
         try:
-            contents.append(read(read_text(folder / name)))
+            contents.append(read(read_text(folder / name), tell))
         except ValueError as error:
-            damage.append(f"{name}: {error}")
+            tell(str(error))
     if damage:
         raise FaultsError(str(folder), damage)
     specification, *data = contents
@@ -222,7 +224,12 @@ def read_text(path: Path) -> str:
         return file.read()
 
 
-def _specification(text: str) -> dict[str, Any]:
+def _tell(damage: list[str], name: str, text: str, line: int | None = None) -> None:
+    """Adds the damage of a file, or of one of its lines."""
+    damage.append(f"{name}: {text}" if line is None else f"{name}, line {line}: {text}")
+
+
+def _specification(text: str, tell: _Tell) -> dict[str, Any]:
     """Reads ``domain.yaml``: all fields of a domain but those of a corpus."""
     content = check("the file", read_yaml(text), MAPPING)
     found = faults(_Specification, content)
@@ -232,7 +239,9 @@ def _specification(text: str) -> dict[str, Any]:
             key = f"policies.{name}"
             found |= faults(_Policy, check(key, policy, MAPPING), f"{key}.")
     if found:
-        raise ValueError("; ".join(found.values()))
+        for fault in found.values():
+            tell(fault)
+        return {}
     return fields_of(content)
 
 
@@ -254,10 +263,10 @@ def fields_of(content: Mapping[str, Any]) -> dict[str, Any]:
     }
 
 
-def _records(text: str) -> dict[int, dict[str, str]]:
+def _records(text: str, tell: _Tell) -> dict[int, dict[str, str]]:
     """Reads a knowledge base: a header of slots, then one record per line."""
     if text and not text.endswith("\n"):
-        raise ValueError("the last line must end with a line break; the file looks truncated")
+        tell("the last line must end with a line break; the file looks truncated")
     reader = csv.reader(io.StringIO(text, newline=""), strict=True)
     records = {}
     try:
@@ -267,16 +276,15 @@ def _records(text: str) -> dict[int, dict[str, str]]:
         line = reader.line_num + 1
         for row in reader:
             if len(row) != len(header):
-                fields = f"it has {len(row)} fields, the header has {len(header)}"
-                raise ValueError(f"line {line}: {fields}")
-            records[line] = {slot: value for slot, value in zip(header, row, strict=True) if value}
+                tell(f"it has {len(row)} fields, the header has {len(header)}", line)
+            records[line] = {slot: value for slot, value in zip(header, row, strict=False) if value}
             line = reader.line_num + 1
     except csv.Error as error:
-        raise ValueError(f"line {reader.line_num}: {error}") from error
+        tell(str(error), reader.line_num)
     return records
 
 
-def _goals(text: str) -> dict[int, Goal]:
+def _goals(text: str, tell: _Tell) -> dict[int, Goal]:
     """Reads goals, one per line: ``{"constraints": {slot: value}, "requests": [slot]}``."""
     goals = {}
     # Not splitlines, which also breaks at characters that JSON allows inside a text.
@@ -285,11 +293,11 @@ def _goals(text: str) -> dict[int, Goal]:
             goal = filled(_Goal, check("a goal", _json(written), MAPPING))
             goals[line] = Goal(goal.constraints, tuple(goal.requests))
         except ValueError as error:
-            raise ValueError(f"line {line}: {error}") from error
+            tell(str(error), line)
     return goals
 
 
-def _values(text: str) -> dict[str, tuple[str, ...]]:
+def _values(text: str, tell: _Tell) -> dict[str, tuple[str, ...]]:
     """Reads the values that errors substitute: ``{slot: [values]}``."""
     lists = check("the file", _json(text), _LISTS)
     return {slot: tuple(check(slot, values, TEXTS)) for slot, values in lists.items()}

@@ -178,10 +178,10 @@ def test_contradictions_between_files_are_named_at_once_with_their_lines(folder,
 def test_the_damage_of_every_file_is_named_at_once(folder):
     (folder / CSV).write_text("")
     edit(folder / YAML, "name: restaurant", "name: 3")
-    edit(folder / GOALS, '{"constraints"', "{")
+    edit(folder / GOALS, '{"constraints"', "{", 2)
     (folder / VALUES).write_text("{")
     places = [line.strip().partition(": ")[0] for line in refusal(folder).splitlines()[1:]]
-    assert places == [YAML, CSV, GOALS, VALUES]
+    assert places == [YAML, CSV, f"{GOALS}, line 1", f"{GOALS}, line 2", VALUES]
 
 
 def test_a_goal_may_spell_a_value_in_another_case(folder):
