@@ -1,9 +1,10 @@
-"""The metrics of a run: in memory, in metrics.csv, and in the log."""
+"""The metrics of a run: in memory, in metrics.csv, and as progress on a terminal."""
 
 from __future__ import annotations
 
 import logging
 import math
+import multiprocessing
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from statistics import fmean
@@ -11,6 +12,7 @@ from typing import Any
 
 import numpy as np
 from torch import Tensor
+from tqdm import tqdm
 
 from bbq_torchrl.trainers.checkpoint import TrainingError
 from bbq_torchrl.utils.files import csv_text, write_text
@@ -115,13 +117,14 @@ def _csv(rows: Sequence[MetricRow], *, header: bool) -> str:
 _LOG = logging.getLogger(__name__)
 
 LINES = 40
-"""The maximum number of log lines of a training run."""
+"""The maximum number of log lines of a training run without a progress bar."""
 
 
 class RoundProgress:
-    """Logs success, reward and time, averaged over the replicas.
+    """Shows success, reward and remaining time, averaged over the replicas.
 
-    A line is logged after every round. Training for more than 40 rounds logs at most 40 lines, each
+    The bar is shown if stderr is a terminal and no other process of a sweep draws on it. Otherwise
+    a line is logged after every round. Training for more than 40 rounds logs at most 40 lines, each
     with means over the rounds since the last.
 
     Args:
@@ -131,28 +134,55 @@ class RoundProgress:
     """
 
     def __init__(self, rounds: int, *, done: int = 0, name: str = "") -> None:
-        self._rounds, self._done = rounds, done
+        self._rounds = rounds
+        self._remaining = rounds - done
         self._name = f"{name}: " if name else ""
-        self._pending: list[MetricRow] = []
+        self._pending: list[dict[str, float]] = []
+        is_in_sweep = multiprocessing.parent_process() is not None
+        self._bar = tqdm(
+            total=rounds,
+            initial=done,
+            desc="rounds",
+            unit="round",
+            dynamic_ncols=True,
+            disable=True if is_in_sweep else None,
+        )
 
     def update(self, rows: Sequence[MetricRow]) -> None:
-        """Adds the rows of one round, one for each replica, and logs a line if one is due."""
-        self._done += 1
-        self._pending += rows
-        if self._done % math.ceil(self._rounds / LINES) and self._done < self._rounds:
+        """Shows the rows of one round, one for each replica."""
+        self._remaining -= 1
+        means = {name: fmean(row[name] for row in rows) for name in rows[0]}
+        self._pending.append(means)
+        rates = [row.get("eval_success_rate", math.nan) for row in self._pending]
+        evaluated = [f"{rate:.2f}" for rate in rates if rate == rate]
+        if self._bar.disable:
+            self._log_line(*evaluated[-1:])
+            return
+        shown = {"success": f"{means['success_rate']:.2f}", "reward": f"{means['reward']:.1f}"}
+        if evaluated:
+            shown["eval"] = evaluated[-1]
+        self._bar.set_postfix(shown, refresh=False)
+        self._bar.update()
+
+    def _log_line(self, *evaluated: str) -> None:
+        """Logs a line if enough rounds have passed since the last one."""
+        done = self._rounds - self._remaining
+        if done % math.ceil(self._rounds / LINES) and self._remaining:
             return
         names = ("success_rate", "reward", "seconds")
         success, reward, seconds = (fmean(row[name] for row in self._pending) for name in names)
-        rates = [row.get("eval_success_rate", math.nan) for row in self._pending]
-        evaluated = [rate for rate in rates if rate == rate][-len(rows) :]
         _LOG.info(
             "%sround %d of %d: success %.2f%s, reward %.1f, %.1f s a round",
             self._name,
-            self._done,
+            done,
             self._rounds,
             success,
-            f", evaluation {fmean(evaluated):.2f}" if evaluated else "",
+            "".join(f", evaluation {rate}" for rate in evaluated),
             reward,
             seconds,
         )
         self._pending = []
+
+    def close(self) -> None:
+        """Leaves the bar as it is and ends its line."""
+        self._bar.close()

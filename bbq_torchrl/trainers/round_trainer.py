@@ -6,6 +6,7 @@ import logging
 import math
 import time
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing
 from dataclasses import KW_ONLY, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -173,9 +174,10 @@ class RoundTrainer:
             RunFolderGoneError: if the run folder is moved or removed during training.
         """
         self.begin(resume=resume)
-        progress = RoundProgress(self.rounds, done=self.rounds_done, name=self.run_folder.name)
-        while self.rounds_done < self.rounds and not self._stops:
-            progress.update(self.train_round())
+        bar = RoundProgress(self.rounds, done=self.rounds_done, name=self.run_folder.name)
+        with closing(bar):
+            while self.rounds_done < self.rounds and not self._stops:
+                bar.update(self.train_round())
         if self.rounds_saved < self.rounds_done:
             self._save()
         return list(self.metrics.rows)

@@ -129,7 +129,8 @@ def end() -> NoReturn:
         if worker.pid is not None:  # joblib's processes have no kill()
             with suppress(ProcessLookupError):
                 os.kill(worker.pid, signal.SIGKILL)
-    _say(f"{line()}\n")
+    start = "\n" if _on_terminal() else ""  # after a progress bar
+    _say(f"{start}{line()}\n")
     os._exit(exit_code())
 
 

@@ -1,8 +1,9 @@
-"""A round's numbers: in memory, on disk, in loggers, and in the log."""
+"""A round's numbers: in memory, on disk, in loggers, and in a bar or the log."""
 
 import importlib.util
 import logging
 import math
+import multiprocessing
 import sys
 from unittest.mock import MagicMock, call
 
@@ -105,15 +106,28 @@ def row(replica, evaluated=math.nan, **changed):
     return {**row, "eval_success_rate": evaluated, **changed}
 
 
-def test_a_line_has_means_over_the_replicas_and_the_last_evaluation(caplog):
-    caplog.set_level(logging.INFO, "bbq_torchrl")
-    progress = RoundProgress(10, done=4)
-    for evaluated in (math.nan, 0.5):
-        progress.update([row(0, evaluated), row(1, evaluated / 2)])
-    assert caplog.messages == [
-        "round 5 of 10: success 0.50, reward -8.0, 2.0 s a round",
-        "round 6 of 10: success 0.50, evaluation 0.38, reward -8.0, 2.0 s a round",
-    ]
+def test_the_bar_shows_means_over_the_replicas_and_the_last_evaluation(capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "200")  # of a fast machine, the rate alone has many digits
+    bar = RoundProgress(10, done=4)
+    for evaluated in (math.nan, 0.5, math.nan):
+        bar.update([row(0, evaluated), row(1, evaluated)])
+    bar.close()
+
+    shown = capsys.readouterr()
+    assert shown.out == ""
+    assert "nan" not in shown.err
+    last = shown.err.split("\r")[-1]
+    for part in ("7/10", "success=0.50", "reward=-8.0", "eval=0.50"):
+        assert part in last
+
+
+def test_runs_side_by_side_do_not_draw_over_one_another(capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    for parent, is_shown in ((None, True), (object(), False)):
+        monkeypatch.setattr(multiprocessing, "parent_process", lambda parent=parent: parent)
+        RoundProgress(2).close()
+        assert bool(capsys.readouterr().err) is is_shown
 
 
 def test_a_long_training_logs_at_most_forty_lines_with_means_of_the_rounds_between(caplog):
