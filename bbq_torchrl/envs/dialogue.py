@@ -14,7 +14,6 @@ from torchrl.data import Binary, Bounded, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase, Transform
 
 from bbq_torchrl.domains import Domain, tensorize
-from bbq_torchrl.settings import COUNT, NON_NEGATIVE_INTEGER, check
 from bbq_torchrl.simulator import (
     Channel,
     ErrorModel,
@@ -55,8 +54,11 @@ class ExtensionSchedule:
     every: int = 10
 
     def __post_init__(self) -> None:
-        check("start", self.start, NON_NEGATIVE_INTEGER)
-        check("every", self.every, COUNT)
+        # Not settings.check: any integer will do, of NumPy or of torch too.
+        if self.start < 0:
+            raise ValueError(f"start must be a round from 0 on, got {self.start}")
+        if self.every < 1:
+            raise ValueError(f"every must be at least 1 round, got {self.every}")
 
     def active(self, domain: Domain, round: int) -> tuple[str, ...]:
         """Returns the slots active in a round, in the order of the domain's slots.

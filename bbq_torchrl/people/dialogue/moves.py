@@ -199,7 +199,7 @@ def others(text: str) -> str:
 
     Examples:
         >>> others("Too far. What other days do you have?"), others("at 7")
-        ('other days do you have', '')
+        ('what other days do you have', '')
     """
     found = (_OTHERS.search(clause) for clause in _CLAUSE.split(_words(text)))
     return next((one.string[one.start() :] for one in found if one), "")
