@@ -113,15 +113,24 @@ def _best_small() -> str:
     """Returns the agents of the figure: early, at the end, and without the spike."""
     columns = _columns()
     chosen = {
-        column: {agent: of for agent, of in columns[column].items() if agent in README}
+        column: {
+            agent: of
+            for agent, of in columns[column].items()
+            if agent in README or agent.endswith(", searched")
+        }
         for column in ("full: 1,000", "full: end", UNSPIKED["movie"])
     }
-    one, other = (columns["full: end"][agent] for agent in ("BBQN-MAP", "DQN"))
+    finals = chosen["full: end"]
+    ends = {agent: short(estimate([*of.values()]).value) for agent, of in finals.items()}
+    one, other = (finals[agent] for agent in ("BBQN-MAP", "DQN"))
     gap = difference([one[seed] - other[seed] for seed in one])
-    ends = [short(estimate([*of.values()]).value) for of in (one, other)]
+    searched = ", ".join(
+        f"{agent.partition(',')[0]} {end}" for agent, end in ends.items() if agent not in README
+    )
     shown = _shown(chosen, ["booked of the first 1,000", "end", "end, without the spike"])
     return (
-        f"**BBQN-MAP ends with a success of {ends[0]}, DQN with {ends[1]}** (a difference of "
-        f"{short(gap.value)}, 95 % interval {short(gap.low)} to {short(gap.high)}).\n\n"
+        f"**BBQN-MAP ends with a success of {ends['BBQN-MAP']}, DQN with {ends['DQN']}** where all "
+        f"share one setting (a difference of {short(gap.value)}, 95 % interval {short(gap.low)} to "
+        f"{short(gap.high)}). With settings searched for each: {searched}.\n\n"
         f"{shown} *: of {group('no_spike/dqn').dialogues:,} dialogues, five seeds."
     )

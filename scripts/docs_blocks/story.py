@@ -28,6 +28,9 @@ SEARCHED_LONG = [
 ]
 """BBQN and DQN-Boltzmann, both searched in Table 1's setting, in each environment."""
 
+SEARCHED_DQN = ("searched/table1/full/bbqn_map_soft", "searched/table1/full/dqn")
+"""BBQN and DQN, both searched in Table 1's setting."""
+
 BY_ENV = "{} in the full domain, {} in domain extension"
 
 
@@ -129,7 +132,8 @@ def _story() -> str:
             + " and ".join(f"{lead:+.3f}" for lead in leads)
             + "; BBQN-MAP minus DQN-Boltzmann with [searched settings]"
             f"(learning_starts.md#search-settings): {level} in the full domain, both "
-            f"searched: {BY_ENV.format(*_of_each(SEARCHED_LONG, 'final'))}",
+            f"searched: {BY_ENV.format(*_of_each(SEARCHED_LONG, 'final'))}, minus DQN, both "
+            f"searched: {_of_folders(*SEARCHED_DQN, 'final')} in the full domain",
             _verdict(*final, level),
         ),
         (
