@@ -161,7 +161,9 @@ def _mentions(
     found: dict[str, list[_Mention]] = {}
     for slot, start, end in spans:
         text = " ".join(words[start:end])
-        if lexicon.link(slot, text).score < 1.0:
+        if lexicon.kinds[slot] == "count" and words[max(start - 1, 0)] == "at":
+            slot = lexicon.only_slot(f"at {text}") or slot  # no number of people
+        elif lexicon.link(slot, text).score < 1.0:
             # A name in full is of its slot whatever was tagged.
             slot = lexicon.only_slot(text) or slot
         denied = is_denied(words, start, end)

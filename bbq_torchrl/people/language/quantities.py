@@ -44,10 +44,13 @@ _JOIN = "|".join(map(re.escape, sorted(word_set("members_join"))))
 PARTY = re.compile(rf"(?<!\S){_MEMBER}(?: (?:(?:{_JOIN}) )*{_MEMBER})+(?!\S)")
 """Several sorts of people, each with its number: "2 adults and a child"."""
 
-_COMPANION = rf"(?:my|an?|the) (?:{'|'.join(sorted(_COMPANIONS))})"
+_COMPANION = (
+    rf"(?:(?:my|an?|the) (?:{'|'.join(sorted(_COMPANIONS))})"
+    rf"|(?:(?:my|our|the) )?{NUMBER} (?:{'|'.join(sorted(_COMPANIES))}))"
+)
 _SURE: dict[Kind, re.Pattern[str]] = {
     "count": re.compile(rf"{NUMBER} of us|{_COMPANION} and (?:i|me)|(?:me|i) and {_COMPANION}"),
-    "time": re.compile(r"\d[\d:.]* [ap]\.?m\.?"),
+    "time": re.compile(rf"(?:at )?\d[\d:.]* [ap]\.?m\.?|at {NUMBER}"),
 }
 
 
@@ -55,8 +58,8 @@ def sure_kind(text: str) -> Kind | None:
     """Returns the kind of a quantity that nothing else can be, else ``None``.
 
     Examples:
-        >>> [sure_kind(text) for text in ("11 am", "my son and i", "4 of us", "two")]
-        ['time', 'count', 'count', None]
+        >>> [sure_kind(text) for text in ("11 am", "my son and i", "4 of us", "at 2", "two")]
+        ['time', 'count', 'count', 'time', None]
     """
     return next((kind for kind, pattern in _SURE.items() if pattern.fullmatch(text)), None)
 
