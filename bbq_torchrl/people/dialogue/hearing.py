@@ -135,6 +135,8 @@ class Hearing:
         A time that is none is asked for: "What time is the earliest show?"
         """
         asked, informs = dict.fromkeys(reading.frame.requests), {**reading.frame.informs}
+        if moves.is_untold(text) and self.is_unsure(reading) and not informs:
+            return replace(reading, frame=Frame("not_sure"))
         for slot in self._spelling.named(text, informs) if moves.asks(text) else ():
             is_time = informs[slot] == ANY or read_time(informs[slot])
             if self._spelling.lexicon.kinds.get(slot) == "time" and not is_time:

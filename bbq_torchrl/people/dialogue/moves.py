@@ -26,19 +26,11 @@ def _pattern(text: str) -> re.Pattern[str]:
 
 
 _ACCEPT = [_pattern(rf"(?<!\S)(?:{text})(?!\S)") for text in _DATA["accept"]]
-_BESIDE = frozenset(_DATA["beside"].split())
+_BESIDE, _VAGUE = (frozenset(_DATA.pop(name).split()) for name in ("beside", "vague"))
 _YES = _pattern(r"(?:<yes>)(?![\w']) ?(?:(?:and|but|so|then) )*")
-_NO = _pattern(_DATA["no"])
-_QUESTION, _WHETHER, _WHETHER_ANY, _HESITATES = (
-    _pattern(_DATA[name]) for name in ("question", "whether", "whether_any", "hesitates")
-)
 _BEFORE = [_pattern(rf"\b(?:{text})\b(?P<x>.*)") for text in _DATA["before"]]
 _AFTER = [_pattern(rf"(?P<x>.*?)(?: |(?='s))(?:{text})(?!\w)") for text in _DATA["after"]]
-_ANY, _AROUND, _EXCEPT = (_pattern(_DATA[name]) for name in ("any", "around", "except"))
-_STOPS, _VAGUE = _pattern(_DATA["stops"]), frozenset(_DATA["vague"].split())
-_RESTART, _OTHERS = _pattern(_DATA["restart"]), _pattern(_DATA["others"])
-_LATER, _EARLIER = _pattern(_DATA["later"]), _pattern(_DATA["earlier"])
-_ABOUT = {name: _pattern(_DATA[name]) for name in ("help", "bot", "nothing")}
+_FIND = {name: _pattern(text) for name, text in _DATA.items() if isinstance(text, str)}
 _CLAUSE = re.compile(r" ?[,.;!?:()] ?| (?:but|and then) ")
 _SENTENCE = re.compile(r"[^.;!?]+[.;!?]*")
 _NEXT = re.compile(
@@ -63,7 +55,7 @@ def accepts(text: str) -> bool:
         >>> [accepts(text) for text in ("ok, how do I get there?", "ok but let me check with her")]
         [False, False]
     """
-    words, is_yes = f" {_words(text)} ", False
+    words, is_yes = _FIND["remark"].sub(" ", f" {_words(text)} "), False
     for pattern in _ACCEPT:
         words, count = pattern.subn(" ", words)
         is_yes = is_yes or count > 0
@@ -83,11 +75,10 @@ def beside_yes(text: str) -> str | None:
     """
     if accepts(text):
         return ""
-    words = _words(text)
     if refuses(text):
         return None
     rest, is_yes = [], False
-    for piece in _PIECE.findall(words):
+    for piece in _PIECE.findall(_words(text)):
         said = piece.strip()
         if not said.strip(" ,.;!?"):
             continue
@@ -100,12 +91,22 @@ def beside_yes(text: str) -> str | None:
 
 def refuses(text: str) -> bool:
     """Returns whether a text says no, to whatever."""
-    return _NO.search(_words(text)) is not None
+    return _FIND["no"].search(_words(text)) is not None
 
 
 def asks(text: str) -> bool:
     """Returns whether a text asks something."""
-    return _QUESTION.search(_words(text)) is not None
+    return _FIND["question"].search(_words(text)) is not None
+
+
+def is_untold(text: str) -> bool:
+    """Returns whether a text asks what no record says.
+
+    Examples:
+        >>> [is_untold(text) for text in ("how long is the show?", "How far is it?")]
+        [True, False]
+    """
+    return _FIND["untold"].search(_words(text)) is not None
 
 
 def asks_whether(text: str) -> bool:
@@ -115,7 +116,7 @@ def asks_whether(text: str) -> bool:
         >>> [asks_whether(text) for text in ("Is it on Friday?", "At 7, right?", "What about 7?")]
         [True, True, False]
     """
-    return _WHETHER.search(_words(text)) is not None
+    return _FIND["whether"].search(_words(text)) is not None
 
 
 def asks_whether_any(text: str) -> bool:
@@ -125,7 +126,7 @@ def asks_whether_any(text: str) -> bool:
         >>> [asks_whether_any(text) for text in ("Is it on in Reno?", "Got any left?", "At 7?")]
         [True, True, False]
     """
-    return any(_WHETHER_ANY.search(sentence) for sentence in sentences(text))
+    return any(_FIND["whether_any"].search(sentence) for sentence in sentences(text))
 
 
 def sentences(text: str) -> list[str]:
@@ -147,7 +148,7 @@ def sentences(text: str) -> list[str]:
 
 def hesitates(text: str) -> bool:
     """Returns whether a text makes a condition, or wants time or something else."""
-    return _HESITATES.search(_words(text)) is not None
+    return _FIND["hesitates"].search(_words(text)) is not None
 
 
 def questions(text: str) -> list[str]:
@@ -157,14 +158,14 @@ def questions(text: str) -> list[str]:
         >>> questions("Where, and on what day?")
         ['where', 'on what day']
     """
-    asking = filter(_QUESTION.search, _SENTENCE.findall(_words(text)))
+    asking = filter(_FIND["question"].search, _SENTENCE.findall(_words(text)))
     clauses = [part for sentence in asking for part in _AND.split(sentence.strip()) if part]
     return clauses if len(clauses) > 1 else []
 
 
 def is_nothing(text: str) -> bool:
     """Returns whether a text is an answer that names nothing, such as "no, not really"."""
-    return _ABOUT["nothing"].fullmatch(_plain(text)) is not None
+    return _FIND["nothing"].fullmatch(_plain(text)) is not None
 
 
 def _plain(text: str) -> str:
@@ -179,19 +180,18 @@ def is_restart(text: str) -> bool:
         >>> [is_restart(text) for text in ("Let's start over", "forget everything", "forget it")]
         [True, True, False]
     """
-    return _RESTART.search(_words(text)) is not None
+    return _FIND["restart"].search(_words(text)) is not None
 
 
 def about(text: str) -> str:
     """Returns ``"help"`` or ``"bot"`` for a text that asks only about the system, else ``""``."""
-    words = _plain(text)
-    return next((name for name in ("help", "bot") if _ABOUT[name].fullmatch(words)), "")
+    return next((name for name in ("help", "bot") if _FIND[name].fullmatch(_plain(text))), "")
 
 
 def direction(text: str) -> int:
     """Returns 1 for a text that asks for something later, -1 for earlier, else 0."""
     words = _words(text)
-    return bool(_LATER.search(words)) - bool(_EARLIER.search(words))
+    return bool(_FIND["later"].search(words)) - bool(_FIND["earlier"].search(words))
 
 
 def others(text: str) -> str:
@@ -201,8 +201,23 @@ def others(text: str) -> str:
         >>> others("Too far. What other days do you have?"), others("at 7")
         ('what other days do you have', '')
     """
-    found = (_OTHERS.search(clause) for clause in _CLAUSE.split(_words(text)))
+    found = (_FIND["others"].search(clause) for clause in _CLAUSE.split(_words(text)))
     return next((one.string[one.start() :] for one in found if one), "")
+
+
+def same(words: str) -> str:
+    """Returns the part of the words of :func:`others` that names what stays, as "at that time"."""
+    return " ".join(_FIND["same"].findall(words))
+
+
+def besides(words: str) -> list[str]:
+    """Returns the words of :func:`others` for what is wanted, and those for what is not, if any.
+
+    Examples:
+        >>> besides("anything else tonight besides barbie")
+        ['anything else tonight ', ' barbie']
+    """
+    return _FIND["besides"].split(words, maxsplit=1)
 
 
 def taken_back(text: str, held: Mapping[str, str], lexicon: Lexicon) -> tuple[str, ...]:
@@ -214,10 +229,10 @@ def taken_back(text: str, held: Mapping[str, str], lexicon: Lexicon) -> tuple[st
         lexicon: the domain's phrases and values.
     """
     found: list[str] = []
-    if _EXCEPT.search(_words(text)):  # a value is excluded
+    if _FIND["except"].search(_words(text)):  # a value is excluded
         return ()
     for clause in _CLAUSE.split(_words(text)):
-        for match in _ANY.finditer(clause):
+        for match in _FIND["any"].finditer(clause):
             if not asks_whether_any(text):  # "Any good movies?"
                 found += named_slots(_WHERE.split(match["x"])[0], lexicon)
         for region in _regions(clause):
@@ -228,12 +243,12 @@ def taken_back(text: str, held: Mapping[str, str], lexicon: Lexicon) -> tuple[st
 
 def _regions(clause: str) -> Iterator[str]:
     """Yields the words of a clause that name what is taken back."""
-    for match in _AROUND.finditer(clause):
+    for match in _FIND["around"].finditer(clause):
         yield match["x"]
     for patterns in (_BEFORE, _AFTER):
         for pattern in patterns:
             if found := pattern.search(clause):
-                yield _STOPS.split(found["x"])[0 if patterns is _BEFORE else -1]
+                yield _FIND["stops"].split(found["x"])[0 if patterns is _BEFORE else -1]
 
 
 def named_slots(words: str, lexicon: Lexicon) -> list[str]:

@@ -102,7 +102,9 @@ class Partner:
         before, rules = memory or Memory(), self.control.rules
         now = replace(before, texts=before.texts + 1)
         words: dict[str, Any] = {"session": seed, "turn": now.texts}
-        question = self._question(before)
+        is_offered = before.state is not None and bool(before.state["offered"])
+        is_about = (bool(before.proposal) or is_offered) and not before.asking.is_check
+        told = Told("", {}, text, True)
         try:
             if "drop" in rules and moves.is_restart(text):
                 sentence = self._nlg.say("restart", **words)
@@ -112,19 +114,18 @@ class Partner:
                 return self._say(
                     now, self._nlg.say(topic, self.domain.essential[:_MAX_NAMED], **words)
                 )
-            told = self._told(before, text, words)
-            reading = self._hear(told.rest or text, question)
+            if is_about and "answers_first" in rules and not moves.accepts(text):
+                told = self._questions(self._ways_out.nearest(before), text, words)
+            reading = self._hear(told.rest or text, self._question(before))
         except TextError as error:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
-        is_offered = before.state is not None and bool(before.state["offered"])
         if not told.text:
-            asks = moves.asks(text)
-            return self._reply(now, before, reading, text, question, words, seed, asks)
+            return self._reply(before, reading, text, words, moves.asks(text))
         is_only = not told.rest or (moves.accepts(told.rest) and (is_offered or not told.is_yes))
         if is_only:
             answer = self._say(now, self._nlg.say("stands", **words), reading)
         else:
-            answer = self._reply(now, before, reading, told.rest, question, words, seed, True)
+            answer = self._reply(before, reading, told.rest, words, True)
         informs = {**told.values, **answer.answered.informs}
         return replace(
             answer,
@@ -132,36 +133,20 @@ class Partner:
             answered=replace(answer.answered, act="inform", informs=informs),
         )
 
-    def _told(self, before: Memory, text: str, words: dict[str, Any]) -> Told:
-        """Returns the answers to questions about the record that is proposed or offered."""
-        record = self._ways_out.spoken_of(before)
-        if record is None or before.asking.is_check or "answers_first" not in self.control.rules:
-            return Told("", {}, text, True)
-        return self._questions(record, text, words)
-
     def _reply(
-        self,
-        now: Memory,
-        before: Memory,
-        reading: Understood,
-        text: str,
-        question: Frame | None,
-        words: dict[str, Any],
-        seed: int,
-        asks: bool,
+        self, before: Memory, reading: Understood, text: str, words: dict[str, Any], asks: bool
     ) -> Answer:
         """Returns the answer to a text with a meaning.
 
         Args:
-            now: the memory after the text.
-            before: the memory before it.
+            before: the memory before the text.
             reading: the meaning.
             text: the text, without the questions that are answered already.
-            question: the agent's act that it answers.
             words: what determines the words.
-            seed: the seed of the policy.
             asks: whether the whole text asks something.
         """
+        now = replace(before, texts=before.texts + 1)
+        question = self._question(before)
         rules = self.control.rules
         is_offered = before.state is not None and bool(before.state["offered"])
         reading = self._hear.leaving(reading, text, is_offered)
@@ -233,11 +218,13 @@ class Partner:
             answered, ended = Frame(understood.act), "person" if understood.act == "closing" else ""
             sentence = self._nlg.agent(answered, **words)
             return Answer(sentence, reading, understood, answered, now, ended=ended)
-        answer = self._act(now, reading, understood, seed, words, is_booked=is_booked)
+        answer = self._act(now, reading, understood, words, is_booked=is_booked)
         if dropped:
             answer = _led(answer, self._nlg.say("dropped", dropped, **words))
         known, aside = map(self._tracking.aside, (before.state, answer.memory.state))
-        if absent := dict(aside.items() - known.items()):
+        news = dict(aside.items() - known.items())
+        names = " ".join(self._ways_out.nearest(answer.memory).values())
+        if absent := {slot: value for slot, value in news.items() if value not in names}:
             answer = _led(answer, self._nlg.say("no_promise", values=absent, **words))
         if is_unsure and (news := self._unsaid(before, understood, answer)):
             answer = _led(answer, self._nlg.say("understood", values=news, **words))
@@ -312,6 +299,7 @@ class Partner:
             return None
         if beside is None:
             is_named = bool(told.keys() & proposal.keys()) and not said.unclear
+            is_named |= self._hear.is_bare(reading.frame, "confirm_answer", "thanks")
             is_asked = moves.asks(text) and not requests
             if not is_named or is_asked or moves.hesitates(text) or moves.refuses(text):
                 return None
@@ -360,7 +348,6 @@ class Partner:
         now: Memory,
         reading: Understood,
         understood: Frame,
-        seed: int,
         words: dict[str, Any],
         *,
         is_booked: bool,
@@ -387,7 +374,7 @@ class Partner:
                 now = replace(now, state=state)
                 return self._ways_out.alternative(now, reading, words, asked, is_refused=False)
         reply = self._acting.book if is_booked else self._acting.reply
-        acted = reply(before, understood, seed, self._ways_out.refused(now))
+        acted = reply(before, understood, words["session"], self._ways_out.refused(now))
         answered, now = acted.answered, replace(now, state=acted.state, proposal={}, times=0)
         if is_denied and bool(acted.state["offered"]):
             names = list(_values(self._tracking.kept(acted.state)))[:_MAX_NAMED]

@@ -83,6 +83,8 @@ class Questions:
         is_about = is_whether or moves.asks(sentence)
         if not is_about or moves.others(sentence) or moves.accepts(sentence):
             return None
+        if moves.is_untold(sentence):
+            return self._nlg.say("unknown_question", **words), {}, True
         reading = self._hear(sentence, None)
         meant = {slot: [value] for slot, value in reading.frame.informs.items()}
         meant |= {one.slot: [*one.candidates] or [one.text] for one in reading.unclear}

@@ -82,11 +82,9 @@ class Records:
             for slot, kind in enumerate(kinds)
             if kind == "time"
         }
-        vague = [
-            minutes[self._values[:, slot]].isnan() & self.has[:, slot]
-            for slot, minutes in self._minutes.items()
-        ]
-        self._is_vague = torch.stack([torch.zeros(len(self.has), dtype=torch.bool), *vague]).any(0)
+        self._is_vague = torch.zeros(len(self.has), dtype=torch.bool)
+        for slot, minutes in self._minutes.items():
+            self._is_vague |= minutes[self._values[:, slot]].isnan() & self.has[:, slot]
         self._days = {
             slot: _numbered([day_of(text) for text in domain.vocabulary[slot]])
             for slot, kind in enumerate(kinds)

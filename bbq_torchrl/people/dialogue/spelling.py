@@ -94,10 +94,10 @@ class Spelling:
             if len(options) == 1 and self._has(slot, options[0]):
                 found[slot] = options[0]
             else:
-                several = options if len(options) > 1 else ()
                 words = tokenize(text)
                 place = self.lexicon.place(words, slot, value)
                 typed = value if place is None else " ".join(words[place.start : place.stop])
+                several = options if len(options) > 1 else self.lexicon.longer(words, slot, typed)
                 names.append(Unclear(slot, typed, several))
         return found, tuple(map(self._meant, names))
 

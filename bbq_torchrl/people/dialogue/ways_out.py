@@ -53,7 +53,7 @@ class WaysOut:
     ) -> None:
         self._lexicon, self._slots = spelling.lexicon, spelling.domain.slots
         self._tracking, self._records, self._nlg = tracking, records, nlg
-        self._place = place
+        self._place, self._opening = place, spelling.domain.opening_slots
 
     def others(
         self,
@@ -74,17 +74,24 @@ class WaysOut:
         """
         assert now.state is not None
         asked, way = moves.others(text), moves.direction(text)
-        slots = moves.named_slots(asked, self._lexicon)
-        for told in (self._tracking.kept(now.state), now.proposal):
-            slots = slots or moves.named_values(asked, told, self._lexicon)
+        wanted, *other = moves.besides(asked)
+        told, lexicon = {**self._tracking.kept(now.state), **now.proposal}, self._lexicon
+        stays = moves.named_slots(moves.same(wanted), lexicon)
+        slots = [slot for slot in moves.named_slots(wanted, lexicon) if slot not in stays]
+        slots = slots or moves.named_values(" ".join(other), told, lexicon)
+        stays += moves.named_values(wanted, told, lexicon)
+        # Another of a chain is another theater, whose name begins with the chain's.
+        begins = tuple(f"{told.get(slot)} " for slot in stays)
+        slots = slots or [slot for slot, name in told.items() if name.startswith(begins)]
         if not slots and way:
-            slots = [slot for slot in self._lexicon.slots if self._lexicon.kinds[slot] == "time"]
+            slots = [slot for slot in lexicon.slots if lexicon.kinds[slot] == "time"]
+        slots = slots or [*self._opening][: len(stays)]
         if not slots and question is not None and question.requests and not now.proposal:
             slots = [question.requests[0]]
         numbers = [self._slots.index(slot) for slot in slots]
         number = next((one for one in numbers if self._records.is_listed(one)), None)
         held = full(now.state)
-        if way and now.proposal:  # later than what is proposed
+        if now.proposal and (way or stays):  # later than what is proposed
             proposed = torch.tensor(self._tracking.ids(now.proposal))
             held = torch.where(proposed != NONE, proposed, held)
         if number is None:
@@ -92,24 +99,28 @@ class WaysOut:
             if not (now.proposal or is_stuck or bool(now.state["offered"])):
                 return None
             return self.alternative(now, reading, words)
+        fixed = [n for n in map(self._slots.index, stays) if n != number and held[n] >= FIRST_VALUE]
         found = self._records.choices(held, number, way)
         if len(found) < 2 and not way and "wished" in now.state:  # leave out what the agent chose
             wished = torch.where(now.state["wished"] > 0, held, NONE)
-            wished[number] = held[number]
+            wished[[number, *fixed]] = held[[number, *fixed]]
             found = self._records.choices(wished, number) or found
         if len(found) < 2:
             refused = self.refused(now)
             change = {number: found[0]} if found else {}
             nearest, is_met = self._records.nearest, not self._records.best(held)[2]
             change = change or nearest(held, refused, slot=number, direction=way, is_here=True)
+            if (self._records.row(held, change) != held)[fixed].any():
+                change = {}
             if is_met and not change:
                 use = {1: "nothing_later", -1: "nothing_earlier"}.get(way, "no_other")
                 here = torch.where(self._place, self._records.here(held), NONE)
+                here[fixed] = held[fixed]
                 place = self._tracking.values(here)
                 sentence = self._nlg.say(use, [self._slots[number]], values=place, **words)
-                if bool(now.state["offered"]):
+                if now.proposal or bool(now.state["offered"]):
                     sentence += f" {self._nlg.say('stands', **words)}"
-                now = replace(now, proposal={}, asking=Asking())
+                now = replace(now, asking=Asking())
                 return Answer(sentence, reading, reading.frame, Frame("not_sure"), now)
             change = change or nearest(held, refused, slot=number, direction=way)
             change = change or nearest(held, refused, asked=[number])
@@ -178,17 +189,16 @@ class WaysOut:
         refused = (self._pairs(one) for one in now.refused)
         return [pairs for pairs in refused if pairs]
 
-    def spoken_of(self, before: Memory) -> dict[str, str] | None:
-        """Returns the record that is proposed or offered, if any."""
-        state = before.state
-        if state is None or not (before.proposal or bool(state["offered"])):
-            return None
-        change = dict(self._pairs(before.proposal))
-        return self._tracking.values(self._records.row(full(state), change, self.refused(before)))
+    def nearest(self, memory: Memory) -> dict[str, str]:
+        """Returns the record that is proposed or offered, or else nearest to the wishes, if any."""
+        if memory.state is None:
+            return {}
+        change, refused = dict(self._pairs(memory.proposal)), self.refused(memory)
+        return self._tracking.values(self._records.row(full(memory.state), change, refused))
 
     def refuse(self, now: Memory) -> Memory:
         """Returns the memory after the offered record is refused."""
-        offer = torch.tensor(self._tracking.ids(self.spoken_of(now) or {}))
+        offer = torch.tensor(self._tracking.ids(self.nearest(now)))
         return replace(now, refused=(*now.refused, self._tracking.values(self._place * offer)))
 
     def propose(

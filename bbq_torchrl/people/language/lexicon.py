@@ -232,6 +232,11 @@ class Lexicon:
         link = self.link(slot, " ".join(words[place.start : place.stop]))
         return link.score if [self.key(slot, value) for value in link.values] == [key] else 0.0
 
+    def longer(self, words: Sequence[str], slot: str, name: str) -> tuple[str, ...]:
+        """Returns the values of whose names a sentence has more words than a name."""
+        said = {*words} - SMALL
+        return tuple(v for v in self.values(slot) if {*name.split()} < said & {*tokenize(v)})
+
     def full_names(self, words: Sequence[str], asked: str | None = None) -> list[Span]:
         """Returns the longest full names of values that only one slot has, in no order.
 

@@ -37,6 +37,7 @@ class Words(Acts):
             "yes please, i take it": Understood(Frame("request", {}, ("ticket",)), 0.9),
             "lorem ipsum": Understood(Frame("closing"), 0.9),
             "goodbye": Understood(Frame("closing"), 0.9),
+            "great, 6:40": Understood(Frame("thanks"), 0.9),
             "thanks, bye": Understood(Frame("thanks"), 0.9),
             "wonkka in renno?": Understood(
                 Frame("request", {"moviename": "wonka", "city": "reno"}, ("theater",)), 0.2
@@ -219,6 +220,52 @@ def test_what_was_heard_with_some_doubt_is_said_back_and_acted_on(talk):
     assert "wonka" in said
     assert "albany" in said
     assert "right?" not in said
+
+
+def test_no_detail_is_owned_up_to_that_the_name_of_the_theater_says(talk, spelling):
+    chain, theater = "theater_chain", "theater"
+    record = next(
+        record
+        for record in spelling.domain.records
+        if chain not in record and record.get(theater, "").startswith("amc ")
+    )
+    told = ", ".join(f"{slot}={record[slot]}" for slot in ("moviename", theater))
+    (answer,) = talk((f"inform({told}, {chain}=amc)", "request(date)"))
+    assert answer.memory.state["aside"].any()
+    assert "on file" not in answer.text
+    assert "promise" not in answer.text
+
+
+@pytest.mark.parametrize(
+    ("text", "kept"),
+    [
+        ("is there another {theater_chain}?", "theater_chain"),
+        ("what else that time?", "starttime"),
+    ],
+)
+def test_who_asks_for_another_of_a_chain_or_at_that_time_keeps_that(talk, spelling, text, kept):
+    place = ("moviename", "theater", "date", "starttime")
+    named = [record for record in spelling.domain.records if {"theater_chain", *place} <= {*record}]
+    slot = {"theater_chain": "theater", "starttime": "moviename"}[kept]
+    for record in named[:20]:
+        told = ", ".join(f"{name}={record[name]}" for name in (*place, "theater_chain"))
+        *_, answer = talk((f"inform({told})", "inform(taskcomplete)"), (text.format(**record),))
+        act = answer.answered
+        told = act.informs if act.choices else answer.memory.proposal
+        is_told = "no other" in answer.text and "theater chain" not in answer.text
+        assert is_told or slot in {*act.requests, *told}, answer.text
+        assert told.get(kept, record[kept]) == record[kept]
+
+
+def test_a_yes_after_a_proposal_takes_that_and_no_earlier_offer(talk):
+    *_, proposed, answer = talk(
+        ("inform(moviename=kung fu panda 4, state=ny, date=friday)", "inform(taskcomplete)"),
+        ("is there a later time?",),
+        ("great, 6:40", "inform(taskcomplete)"),
+    )
+    assert proposed.memory.proposal.keys() == {"starttime"}
+    assert proposed.memory.proposal.items() <= answer.answered.informs.items()
+    assert not answer.ended
 
 
 def test_a_wish_for_a_detail_excludes_nothing_and_is_owned_up_to_once(talk):

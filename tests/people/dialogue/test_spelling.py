@@ -99,3 +99,10 @@ def test_a_time_that_is_shown_in_the_morning_and_at_night_is_asked_about(spellin
     informs, (unclear,) = spelling.understood(text, {"starttime": "10:05 pm", "city": "reno"}, {})
     assert informs == {"city": "reno"}
     assert (unclear.slot, unclear.candidates) == ("starttime", ("10:05am", "10:05 pm"))
+
+
+def test_an_unknown_name_is_the_title_of_which_a_text_has_more_words(spelling):
+    title = "puss in boots: the last wish"
+    for text, is_part in (("the Wish one, with the cat in boots", True), ("a wish in reno", False)):
+        _, (unclear,) = spelling.understood(text, {"moviename": "wish"}, {})
+        assert (title in unclear.candidates) == is_part
