@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from typing import Any, Literal, get_args
+from typing import TYPE_CHECKING, Any, Literal, get_args
 
 import torch
 from tensordict import TensorDictBase
@@ -13,13 +13,15 @@ from torch import Tensor
 from torchrl.data import Composite
 from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import QValueActor
-from typing_extensions import Self
 
 from bbq_torchrl.bayes import GaussianPosterior
 from bbq_torchrl.bayes.layers import local_weight_scope
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
 from bbq_torchrl.networks.q_actor import split_actor
+
+if TYPE_CHECKING:
+    from typing_extensions import Self
 from bbq_torchrl.protocols import Resampled, provides
 from bbq_torchrl.settings import at_least, check, one_of
 
