@@ -19,11 +19,11 @@ from bbq_torchrl.bayes.layers import local_weight_scope
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import weight_scope
 from bbq_torchrl.networks.q_actor import split_actor
+from bbq_torchrl.protocols import Resampled, provides
+from bbq_torchrl.settings import at_least, check, one_of
 
 if TYPE_CHECKING:
     from typing_extensions import Self
-from bbq_torchrl.protocols import Resampled, provides
-from bbq_torchrl.settings import at_least, check, one_of
 
 Per = Literal["step", "episode", "round"]
 
