@@ -155,7 +155,7 @@ COPIES = {
 
 
 def model(replicas=(), dtype=torch.float, **settings):
-    """A model away from the prior, with statistics of its own."""
+    """Returns a model whose weights differ from the prior, with its own statistics."""
     dynamics = DynamicsModel(FEATURES, ACTIONS, (8,), replicas=replicas, dtype=dtype, **settings)
     off_prior(dynamics.network)
     dynamics.update_statistics(1 + 2 * torch.randn(*replicas, 40, FEATURES, dtype=dtype))

@@ -38,6 +38,11 @@ class Memory:
     denied: int = 0
     texts: int = 0
 
+    @property
+    def is_offered(self) -> bool:
+        """Whether the agent's offer stands."""
+        return self.state is not None and bool(self.state["offered"])
+
     def to_json(self) -> str:
         """Returns the memory as JSON."""
         state = None

@@ -132,7 +132,7 @@ class Hearing:
     def _all_questions(self, text: str, reading: Understood) -> Understood:
         """Returns a reading with the questions of each clause, which are read by themselves.
 
-        A time that is none is asked for: "What time is the earliest show?"
+        "What time is the earliest show?" asks for the time: "earliest show" is no clock time.
         """
         asked, informs = dict.fromkeys(reading.frame.requests), {**reading.frame.informs}
         if moves.is_untold(text) and self.is_unsure(reading) and not informs:

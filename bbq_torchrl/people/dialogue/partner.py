@@ -102,8 +102,7 @@ class Partner:
         before, rules = memory or Memory(), self.control.rules
         now = replace(before, texts=before.texts + 1)
         words: dict[str, Any] = {"session": seed, "turn": now.texts}
-        is_offered = before.state is not None and bool(before.state["offered"])
-        is_about = (bool(before.proposal) or is_offered) and not before.asking.is_check
+        is_about = (bool(before.proposal) or before.is_offered) and not before.asking.is_check
         told = Told("", {}, text, True)
         try:
             if "drop" in rules and moves.is_restart(text):
@@ -121,7 +120,9 @@ class Partner:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
         if not told.text:
             return self._reply(before, reading, text, words, moves.asks(text))
-        is_only = not told.rest or (moves.accepts(told.rest) and (is_offered or not told.is_yes))
+        is_only = not told.rest or (
+            moves.accepts(told.rest) and (before.is_offered or not told.is_yes)
+        )
         if is_only:
             answer = self._say(now, self._nlg.say("stands", **words), reading)
         else:
@@ -148,14 +149,15 @@ class Partner:
         now = replace(before, texts=before.texts + 1)
         question = self._question(before)
         rules = self.control.rules
-        is_offered = before.state is not None and bool(before.state["offered"])
-        reading = self._hear.leaving(reading, text, is_offered)
+        reading = self._hear.leaving(reading, text, before.is_offered)
         is_wish = bool(_values(reading.frame)) and not moves.asks(text)
         others = "way_out" in rules and bool(moves.others(text)) and not is_wish
         held = self._tracking.kept(before.state)
         if "way_out" in rules:
             reading = self._ways_out.narrowed(reading, held)
-        is_said = bool(before.proposal) or is_offered or others or bool(_values(reading.frame))
+        is_said = (
+            bool(before.proposal) or before.is_offered or others or bool(_values(reading.frame))
+        )
         if "drop" in rules and is_said:
             reading, refused = self._hear.refused(reading, held)
             now = replace(now, refused=(*now.refused, *refused))
@@ -176,7 +178,7 @@ class Partner:
             elif "yes_ends" in rules and self._hear.is_bare(reading.frame, "thanks"):
                 # A yes to what is proposed books nothing that was offered before.
                 return self._say(now, self._nlg.say("stands", **words), reading)
-        elif is_offered and "yes_ends" in rules and not others:
+        elif before.is_offered and "yes_ends" in rules and not others:
             reading, is_booked = self._to_offer(before, reading, text, asks)
             if reading.frame.act == "not_sure" and not reading.unclear:
                 return self._say(now, self._nlg.say("stands", **words), reading)
@@ -352,7 +354,7 @@ class Partner:
         *,
         is_booked: bool,
     ) -> Answer:
-        """Returns the policy's answer to an act, or the way out if no record has all wishes."""
+        is_offered = now.is_offered
         before, rules = now.state, self.control.rules
         is_offered = before is not None and bool(before["offered"])
         is_denied = is_offered and self._hear.is_bare(understood, "deny")

@@ -96,7 +96,7 @@ class WaysOut:
             held = torch.where(proposed != NONE, proposed, held)
         if number is None:
             is_stuck = bool(self._records.best(held)[2])
-            if not (now.proposal or is_stuck or bool(now.state["offered"])):
+            if not (now.proposal or is_stuck or now.is_offered):
                 return None
             return self.alternative(now, reading, words)
         fixed = [n for n in map(self._slots.index, stays) if n != number and held[n] >= FIRST_VALUE]
@@ -118,7 +118,7 @@ class WaysOut:
                 here[fixed] = held[fixed]
                 place = self._tracking.values(here)
                 sentence = self._nlg.say(use, [self._slots[number]], values=place, **words)
-                if now.proposal or bool(now.state["offered"]):
+                if now.proposal or now.is_offered:
                     sentence += f" {self._nlg.say('stands', **words)}"
                 now = replace(now, asking=Asking())
                 return Answer(sentence, reading, reading.frame, Frame("not_sure"), now)
@@ -171,11 +171,11 @@ class WaysOut:
             number = self._slots.index(one.slot)
             names = self._records.vocabulary[number]
             left: tuple[str, ...] = ()
-            for known in (wishes, self._records.here(wishes)):
+            for known in (wishes.clone(), self._records.here(wishes)):
                 known[number] = NONE
                 fit = {names[value] for value in self._records.choices(known, number)}
                 left = left or tuple(value for value in one.candidates if value in fit)
-            if self._lexicon.kinds[one.slot] == "time":  # without a fit, the nearest is none's
+            if self._lexicon.kinds[one.slot] == "time":  # the nearest time, if none fits
                 left = left or one.candidates[:1]
             if len(left) == 1:
                 informs[one.slot] = left[0]
