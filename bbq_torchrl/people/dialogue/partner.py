@@ -354,9 +354,7 @@ class Partner:
         *,
         is_booked: bool,
     ) -> Answer:
-        is_offered = now.is_offered
-        before, rules = now.state, self.control.rules
-        is_offered = before is not None and bool(before["offered"])
+        before, rules, is_offered = now.state, self.control.rules, now.is_offered
         is_denied = is_offered and self._hear.is_bare(understood, "deny")
         told = {**understood.informs}
         held = self._tracking.kept(before)
