@@ -58,7 +58,7 @@ def assemble(
         # Simulated users repeat that the agent found no match.
         return Frame("inform", {asked: NO_MATCH_TEXT}), (), 0.0
     act = lexicon.domain.acts[int(reading.acts.argmax())]
-    spans = spans_of(reading.tags)
+    spans = _whole_quantities(words, spans_of(reading.tags), lexicon)
     if (choice := chosen(words, question, lexicon)) is not None:
         others = [span for span in spans if span.slot != asked]  # "The second. We are three."
         informs, unclear = values_of(words, others, lexicon)
@@ -88,6 +88,19 @@ def assemble(
     likelier = torch.cat([reading.requests, reading.dont_care])
     chance += float(torch.maximum(likelier, 1 - likelier).log().sum())
     return frame, unclear, sure + chance
+
+
+def _whole_quantities(
+    words: Sequence[str], spans: Sequence[Span], lexicon: Lexicon
+) -> list[Span]:
+    """Returns tagged spans, each in the sure quantity that it is a part of: "2 adults and a kid"."""
+    names = lexicon.full_names(words)
+    sure = [name for name in names if sure_kind(" ".join(words[name.start : name.end]))]
+    whole = {
+        next((name for name in sure if name.start <= at.start and at.end <= name.end), at)
+        for at in spans
+    }
+    return sorted(whole, key=lambda span: span.start)
 
 
 def chosen(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | None:
@@ -161,6 +174,11 @@ def _mentions(
     found: dict[str, list[_Mention]] = {}
     for slot, start, end in spans:
         text = " ".join(words[start:end])
+        is_date = lexicon.kinds[slot] == "date" and not re.search(r"\d", text)
+        if is_date and not lexicon.link(slot, text).values:  # "zootopia tomorrow"
+            for part in lexicon.full_names(words[start:end], slot)[:1]:
+                start, end = start + part.start, start + part.end
+            text = " ".join(words[start:end])
         if lexicon.kinds[slot] == "count" and words[max(start - 1, 0)] == "at":
             slot = lexicon.only_slot(f"at {text}") or slot  # no number of people
         elif lexicon.link(slot, text).score < 1.0:

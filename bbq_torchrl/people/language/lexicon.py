@@ -279,6 +279,9 @@ class Lexicon:
                 other = {"evening": "night", "night": "evening"}.get(part)
                 tries += [f"{head} {other}"] if other else []
                 tries.append(head)
+        if kind == "date" and tries[0].startswith("day "):  # "the 12th" of the only month with one
+            days = [key for key in known if key.endswith(f"/{tries[0][4:]}")]
+            tries += days if len(days) == 1 else []
         for score, key in zip((1.0, 0.9, 0.85, 0.8, 0.8), tries, strict=False):
             if key in known:
                 return Link((self.spelling(slot, key),), score)

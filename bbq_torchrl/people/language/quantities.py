@@ -49,7 +49,9 @@ _COMPANION = (
     rf"|(?:(?:my|our|the) )?{NUMBER} (?:{'|'.join(sorted(_COMPANIES))}))"
 )
 _SURE: dict[Kind, re.Pattern[str]] = {
-    "count": re.compile(rf"{NUMBER} of us|{_COMPANION} and (?:i|me)|(?:me|i) and {_COMPANION}"),
+    "count": re.compile(
+        rf"{NUMBER} of us|{_COMPANION} and (?:i|me)|(?:me|i) and {_COMPANION}|{PARTY.pattern}"
+    ),
     "time": re.compile(rf"(?:at )?\d[\d:.]* [ap]\.?m\.?|at {NUMBER}"),
 }
 
