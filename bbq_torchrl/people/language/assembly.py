@@ -90,10 +90,8 @@ def assemble(
     return frame, unclear, sure + chance
 
 
-def _whole_quantities(
-    words: Sequence[str], spans: Sequence[Span], lexicon: Lexicon
-) -> list[Span]:
-    """Returns tagged spans, each in the sure quantity that it is a part of: "2 adults and a kid"."""
+def _whole_quantities(words: Sequence[str], spans: Sequence[Span], lexicon: Lexicon) -> list[Span]:
+    """Returns tagged spans, each in the quantity that it is a part of: "2 adults and a kid"."""
     names = lexicon.full_names(words)
     sure = [name for name in names if sure_kind(" ".join(words[name.start : name.end]))]
     whole = {
