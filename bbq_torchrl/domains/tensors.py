@@ -131,11 +131,11 @@ def tensorize(domain: Domain) -> DomainTensors:
         return torch.tensor([name in chosen for name in domain.slots])
 
     def encode(rows: Sequence[Mapping[str, str]]) -> Tensor:
-        encoded = torch.full((len(rows), len(slot)), NONE)
-        for row, values in enumerate(rows):
+        encoded = [[NONE] * len(slot) for _ in rows]
+        for row, values in zip(encoded, rows, strict=True):
             for name, value in values.items():
-                encoded[row, slot[name]] = ids[slot[name]][fold(value)]
-        return encoded
+                row[slot[name]] = ids[slot[name]][fold(value)]
+        return torch.tensor(encoded, dtype=torch.long).view(len(rows), len(slot))
 
     error_count = torch.tensor([len(domain.error_values.get(name, ())) for name in domain.slots])
     error_values = torch.full((len(slot), max(1, int(error_count.max()))), NONE)

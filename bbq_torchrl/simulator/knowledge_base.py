@@ -206,13 +206,14 @@ def _pack_in_orders(members: Tensor, orders: Sequence[Tensor], n_positions: int)
         orders: long ``[positions]`` each: the record at each position, or -1.
         n_positions: number of positions of a packed set, a multiple of the bits of a word.
     """
-    return torch.cat([pack(_ordered(members, order, n_positions)) for order in orders])
+    by_row = members.t().contiguous()
+    return torch.cat([pack(_ordered(by_row, order, n_positions).t()) for order in orders])
 
 
-def _ordered(members: Tensor, order: Tensor, n_positions: int) -> Tensor:
-    """Returns bool ``[sets, n_positions]``: whether the record at each position is a member."""
-    is_member = members.index_select(1, order.clamp(min=0)) & (order >= 0)
-    return torch.nn.functional.pad(is_member, (0, n_positions - order.numel()))
+def _ordered(by_row: Tensor, order: Tensor, n_positions: int) -> Tensor:
+    """Returns bool ``[n_positions, sets]``: whether the record at each position is a member."""
+    is_member = by_row.index_select(0, order.clamp(min=0)) & (order >= 0)[:, None]
+    return torch.nn.functional.pad(is_member, (0, 0, 0, n_positions - order.numel()))
 
 
 def _extend(entries: Tensor, length: int) -> Tensor:
@@ -251,12 +252,12 @@ def pack(members: Tensor) -> Tensor:
         >>> pack(torch.tensor([True, False, True]))
         tensor([5])
     """
-    padded = torch.nn.functional.pad(members, (0, -members.shape[-1] % WORD_BITS))
-    first, *rest = padded.to(torch.uint8).unflatten(-1, (-1, _BYTE_BITS)).unbind(-1)
-    packed = first.contiguous()
+    if missing := -members.shape[-1] % WORD_BITS:
+        members = torch.nn.functional.pad(members, (0, missing))
+    packed, *rest = members.to(torch.uint8).unflatten(-1, (-1, _BYTE_BITS)).unbind(-1)
     for bit, flags in enumerate(rest, start=1):
-        packed |= flags << bit
-    return packed.view(torch.int64)
+        packed = packed | flags << bit
+    return packed.contiguous().view(torch.int64)
 
 
 def _counts_in_bytes(words: Tensor) -> Tensor:
