@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache, cached_property
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Literal, NamedTuple
@@ -270,7 +270,6 @@ def load_phrases(domain: Domain) -> Phrases:
     Raises:
         PhrasesError: if the file is no YAML, or names what the domain does not have.
     """
-    generic = yaml.safe_load(_GENERIC.read_text(encoding="utf-8"))
     own: Any = {}
     source = LANGUAGE_FILE
     if domain.folder is not None and has_own_phrases(domain):
@@ -281,10 +280,17 @@ def load_phrases(domain: Domain) -> Phrases:
         except ValueError as error:
             raise PhrasesError(source, [str(error)]) from None
     reader = _Reader(domain)
-    phrases = reader.read(generic, own)
+    phrases = reader.read(_generic(), own)
     if reader.faults:
         raise PhrasesError(source, reader.faults)
     return phrases
+
+
+@cache  # to parse it takes as long as all else
+def _generic() -> dict[str, Any]:
+    """Returns the phrases of any domain."""
+    content: dict[str, Any] = yaml.safe_load(_GENERIC.read_text(encoding="utf-8"))
+    return content
 
 
 def has_own_phrases(domain: Domain) -> bool:
