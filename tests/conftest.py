@@ -10,16 +10,10 @@ if "BBQ_TEST_CUDA" not in os.environ:
 
 import random
 import zlib
+from functools import cache
 from pathlib import Path
 
-import numpy as np
 import pytest
-import torch
-from hypothesis import settings
-from tiny import without_drawing
-
-from bbq_torchrl.bayes import GaussianPosterior
-from bbq_torchrl.domains import load_domain, load_miulab, movie_domain
 
 TESTS = Path(__file__).parent
 DEFAULT_TCBOT = TESTS.parent.parent / "shared" / "data" / "tcbot"
@@ -30,19 +24,30 @@ collect_ignore_glob = ["*conftest.py"]
 # Until all is imported, which makes many objects and no garbage.
 gc.disable()
 
-# More threads than tests at a time only get in each other's way on a small machine.
-torch.set_num_threads(1)
 
-# The first gradient looks for devices. Here, before torch.compile makes a build with CUDA count one
-# that is not there: that too would forbid forks.
-torch.ones((), requires_grad=True).backward()
+def pytest_collectstart():
+    """Before what is tested is imported. Whoever only hands out the tests imports nothing of it."""
+    _prepare()
 
-# What a test of Hypothesis draws depends on the test alone, as in CI; how long an example takes, on
-# the machine, and no test is about that.
-settings.register_profile(
-    "same_draws", settings.default, derandomize=True, deadline=None, max_examples=30
-)
-settings.load_profile("same_draws")
+
+@cache
+def _prepare():
+    import torch
+    from hypothesis import settings
+
+    # More threads than tests at a time only get in each other's way on a small machine.
+    torch.set_num_threads(1)
+
+    # The first gradient looks for devices. Here, before torch.compile makes a build with CUDA count
+    # one that is not there: that too would forbid forks.
+    torch.ones((), requires_grad=True).backward()
+
+    # What a test of Hypothesis draws depends on the test alone, as in CI; how long an example
+    # takes, on the machine, and no test is about that.
+    settings.register_profile(
+        "same_draws", settings.default, derandomize=True, deadline=None, max_examples=30
+    )
+    settings.load_profile("same_draws")
 
 
 def pytest_collection_finish():
@@ -54,8 +59,14 @@ def pytest_collection_finish():
 @pytest.fixture(autouse=True)
 def _seeded_by_its_name(request):
     """Seeds a test by its name alone, not by the tests that ran before it."""
+    import numpy as np
+    import torch
+
     seed = zlib.crc32(request.node.nodeid.encode())
-    torch.manual_seed(seed)
+    if "BBQ_TEST_CUDA" in os.environ:
+        torch.manual_seed(seed)
+    else:  # which, without a GPU, would keep a traceback of each call
+        torch.default_generator.manual_seed(seed)
     np.random.seed(seed)
     random.seed(seed)
 
@@ -63,6 +74,8 @@ def _seeded_by_its_name(request):
 @pytest.fixture
 def drawn_noise(monkeypatch):
     """The noise that weight draws use, in order, [replicas, weights] each."""
+    from bbq_torchrl.bayes import GaussianPosterior
+
     drawn = []
 
     def fill(self, buffer):
@@ -76,6 +89,8 @@ def drawn_noise(monkeypatch):
 @pytest.fixture(scope="module")
 def without_curves():
     """Curves are empty files, and no other policy is played at the end of a run."""
+    from tiny import without_drawing
+
     with without_drawing():
         yield
 
@@ -92,12 +107,16 @@ def tcbot():
 @pytest.fixture(scope="session")
 def miulab(tcbot):
     """MiuLab's corpus with its default files."""
+    from bbq_torchrl.domains import load_miulab
+
     return load_miulab(tcbot)
 
 
 @pytest.fixture(scope="session")
 def movie():
     """The movie domain that comes with the package."""
+    from bbq_torchrl.domains import movie_domain
+
     return movie_domain()
 
 
@@ -110,4 +129,6 @@ def restaurant_folder():
 @pytest.fixture(scope="session")
 def restaurant(restaurant_folder):
     """A small domain of another kind: tables in restaurants."""
+    from bbq_torchrl.domains import load_domain
+
     return load_domain(restaurant_folder)
