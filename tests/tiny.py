@@ -6,8 +6,12 @@ from contextlib import ExitStack, contextmanager
 from functools import cache
 
 import pytest
+from hydra.core.override_parser.overrides_parser import OverridesParser
+from omegaconf import OmegaConf, open_dict
 
-from bbq_torchrl.runs.compose import compose, compose_raw, session
+from bbq_torchrl.options import Config, schemas
+from bbq_torchrl.options.registry import EXPERIMENT
+from bbq_torchrl.runs.compose import compose_raw, key_of, session, to_config
 from bbq_torchrl.runs.prepare import final_config, prepare_run
 
 TINY = (
@@ -29,12 +33,28 @@ TINY = (
 """A key given again after these replaces theirs."""
 
 
-_composed = cache(lambda overrides: compose(overrides))
+@cache
+def _with_options(chosen):
+    with session():
+        config = compose_raw(chosen)
+    with open_dict(config):
+        del config["hydra"]
+    return config
+
+
+_parsed = cache(lambda key: OverridesParser.create().parse_override(key))
 
 
 def composed(*overrides):
-    """The configuration of a command line, which Hydra composes once in a process."""
-    return copy.deepcopy(_composed(overrides))
+    """The configuration of a command line, whose options Hydra composes once in a process."""
+    groups = (*schemas(), EXPERIMENT)
+    chosen = [item for item in overrides if key_of(item) in groups]
+    config = copy.deepcopy(_with_options(tuple(chosen)))
+    for item in overrides:
+        if item not in chosen:
+            key = _parsed(item)
+            OmegaConf.update(config, key.key_or_group, key.value())
+    return to_config(config, Config)
 
 
 def prepared(*overrides):

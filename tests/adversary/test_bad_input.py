@@ -14,9 +14,8 @@ from pathlib import Path
 import forked
 import pytest
 import yaml
-from tiny import nightly, prepared
+from tiny import composed, nightly, prepared
 
-from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import run
 from bbq_torchrl.utils.text import sentence
 
@@ -48,7 +47,7 @@ def undamaged(tmp_path_factory):
     (folder / "taken").mkdir(parents=True)
     (folder / "afile").write_text("a file\n")
     shutil.copytree(DOMAIN, folder / "domain")
-    run(compose(RUN), folder / "run")
+    run(composed(*RUN), folder / "run")
     return folder
 
 

@@ -4,14 +4,13 @@ import pickle
 import re
 
 import pytest
-from tiny import TINY
+from tiny import TINY, composed
 
 from bbq_torchrl.cli import calibrate
 from bbq_torchrl.domains import Goal, load_domain
 from bbq_torchrl.domains.domain import REQUIRED_ACTS
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
 from bbq_torchrl.runs.build import find_spike_policy
-from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import run
 from bbq_torchrl.trainers import evaluate
 
@@ -87,7 +86,7 @@ def test_a_corpus_of_taxis_is_imported_plays_and_trains(imported, tmp_path):
     assert played(domain, "careful") == played(domain, "repair") == 1.0
     where = ["domain=folder", f"domain.path={tmp_path / 'taxi'}", "env.max_turn=40"]
     for env in ("full", "domain_ext"):
-        config = compose([*TINY, *where, f"env={env}", "protocol.rounds=1", "spike.policy=null"])
+        config = composed(*TINY, *where, f"env={env}", "protocol.rounds=1", "spike.policy=null")
         name = {"full": "careful", "domain_ext": "rule"}[env]  # there is no car in the first round
         assert find_spike_policy(config, domain) == name
         assert run(config, tmp_path / env).rounds == 1

@@ -6,10 +6,10 @@ from types import SimpleNamespace
 import pytest
 import torch
 from hypothesis import given, strategies as st
+from tiny import composed
 
 from bbq_torchrl.evaluation.finished_runs import Replica, agent_name
 from bbq_torchrl.evaluation.groups import adjusted, grouped, pair, read_groups, references
-from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import build_trainer
 
 
@@ -173,7 +173,7 @@ def test_the_same_replica_of_two_agents_sees_the_same_dialogues(tmp_path):
     small += ["domain=hotel", "protocol.capacity=1000"]
     spiked, goals = [], []
     for overrides in (["agent=bbqn"], ["agent=dqn"]):
-        trainer, _ = build_trainer(compose([*overrides, *small]), tmp_path / overrides[-1])
+        trainer, _ = build_trainer(composed(*overrides, *small), tmp_path / overrides[-1])
         trainer.progress = False
         trainer.begin()
         spiked.append(

@@ -5,13 +5,12 @@ import os
 import pytest
 from acts import Acts
 from filelock import FileLock
-from tiny import TINY, without_drawing
+from tiny import TINY, composed, without_drawing
 
 from bbq_torchrl.people.chat import Partner, TrainedAgent
 from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.language import Generator, Understander
 from bbq_torchrl.people.language.lexicon import Lexicon
-from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import run
 
 SHRUNKEN = (*TINY, "protocol.rounds=1", "protocol.eval_every=0", "spike.policy=random")
@@ -21,7 +20,7 @@ SHRUNKEN += ("domain=movie",)
 def trained(folder, *more):
     folder.mkdir()
     with without_drawing():
-        run(compose([*SHRUNKEN, *more]), folder)
+        run(composed(*SHRUNKEN, *more), folder)
     return folder
 
 

@@ -12,7 +12,6 @@ from torch.testing import assert_close
 from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation.curves import read_metrics
 from bbq_torchrl.options import explorations, schemas
-from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import build_trainer, make_agent, run
 
 SHRUNKEN = (*TINY, "spike.policy=random", "replicas=2")
@@ -57,7 +56,7 @@ pytestmark = pytest.mark.usefixtures("without_curves")
 
 def composed(*choices):
     extension = EXTENSION if "env=domain_ext" in choices else ()
-    return compose([*SHRUNKEN, *extension, *choices])
+    return tiny.composed(*SHRUNKEN, *extension, *choices)
 
 
 def trained(config, folder):

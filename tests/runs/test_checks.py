@@ -7,13 +7,12 @@ import shutil
 from dataclasses import replace
 
 import pytest
-from tiny import TINY
+from tiny import TINY, composed
 
 from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.runs import final
 from bbq_torchrl.runs.build import find_spike_policy, make_domain
-from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import run
 from bbq_torchrl.settings import ConfigError
 
@@ -29,7 +28,7 @@ def where(restaurant_folder, tmp_path):
 
 
 def test_a_result_says_which_policy_it_lacks_whose_slot_has_not_come(where, tmp_path, caplog):
-    config = compose([*TINY, *where, "env=domain_ext", "spike.policy=careful", "protocol.rounds=1"])
+    config = composed(*TINY, *where, "env=domain_ext", "spike.policy=careful", "protocol.rounds=1")
     with caplog.at_level(logging.WARNING):
         result = run(config, tmp_path / "run")
     assert {"careful", "random"} <= result.scripted.keys()
@@ -67,7 +66,7 @@ def test_a_script_that_succeeds_spikes_the_first_or_the_best(never, caplog, spik
     where = never("rule", "second", rest=early + careful + early.replace("early", "later"))
     choice = () if spike == "default" else (f"spike={spike}",)
     with caplog.at_level(logging.INFO):
-        config = compose([*SHORT, *where, *choice])
+        config = composed(*SHORT, *where, *choice)
         found = {spiking(replace(config, seed=seed)) for seed in (0, 1)}
     assert found == {expected}
     assert any(expected in text for text in caplog.messages)
@@ -76,12 +75,12 @@ def test_a_script_that_succeeds_spikes_the_first_or_the_best(never, caplog, spik
 def test_a_domain_none_of_whose_scripts_succeeds_is_refused_with_the_way_out(never):
     where = never("rule", "second")
     with pytest.raises(ConfigError, match="spike=none"):
-        spiking(compose(list(where)))
-    assert spiking(compose([*where, "spike=none"])) is None
+        spiking(composed(*where))
+    assert spiking(composed(*where, "spike=none")) is None
 
 
 def test_a_script_of_a_later_round_is_passed_over(where):
-    config = compose([*where, "env=domain_ext"])
+    config = composed(*where, "env=domain_ext")
     assert spiking(config) == "careful"
 
 
@@ -92,7 +91,7 @@ def played(tmp_path, monkeypatch):
     monkeypatch.setattr(final, "draw_run", lambda *_, title, **__: titles.append(title))
 
     def play(*overrides):
-        run(compose([*TINY, "agent=dqn", "protocol.rounds=1", *overrides]), tmp_path)
+        run(composed(*TINY, "agent=dqn", "protocol.rounds=1", *overrides), tmp_path)
         return read_result(tmp_path), titles
 
     return play

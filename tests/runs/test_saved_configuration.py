@@ -21,7 +21,7 @@ from bbq_torchrl.settings import ConfigError
     ],
 )
 def test_a_saved_configuration_is_read_back_as_it_was(tmp_path, command):
-    config = compose(command.split())
+    config = composed(*command.split())
     save_config(config, tmp_path / "config.yaml")
     assert load_config(tmp_path / "config.yaml") == config
 
@@ -36,13 +36,13 @@ def test_a_resumed_run_has_its_own_configuration_but_for_what_may_change(tmp_pat
     changes = ["protocol.rounds=9", "protocol.keep_checkpoints=all", "logger=wandb", "device=cuda"]
     changed = resumed(tmp_path, *changes, "logger.project=mine")
     assert changed == dataclasses.replace(
-        compose([*RUN, *changes, "logger.project=mine"]), resume=str(tmp_path)
+        composed(*RUN, *changes, "logger.project=mine"), resume=str(tmp_path)
     )
 
 
 def test_the_domain_of_a_resumed_or_evaluated_run_may_have_been_moved(tmp_path):
     extended = ("env=domain_ext", "env.slot_error_prob=0", "domain=folder", "domain.path=old")
-    save_config(compose(["agent=dqn", *extended]), tmp_path / "config.yaml")
+    save_config(composed("agent=dqn", *extended), tmp_path / "config.yaml")
     moved = resumed(tmp_path, "domain=folder", f"domain.path={tmp_path}")
     assert (moved.domain.path, moved.env.slot_error_prob) == (str(tmp_path), 0)
 
@@ -75,12 +75,12 @@ def test_a_resumed_run_goes_on_in_its_folder_with_hydras_record_as_it_was(tmp_pa
 
 
 def test_a_job_that_a_launcher_starts_again_goes_on_in_its_folder(tmp_path):
-    config = compose(["agent=bbqn", "agent.prior_std=.07", "agent.lr=1e-3"])
+    config = composed("agent=bbqn", "agent.prior_std=.07", "agent.lr=1e-3")
     assert restarted_config(config, tmp_path).resume is None
     save_config(config, tmp_path / "config.yaml")
     assert restarted_config(config, tmp_path).resume == str(tmp_path)
     with pytest.raises(ConfigError, match="already holds another run"):
-        restarted_config(compose(["agent=bbqn", "seed=1"]), tmp_path)
+        restarted_config(composed("agent=bbqn", "seed=1"), tmp_path)
 
 
 MIX = [{"share": 0.25, "tells": [1, 2], "insists": 1}, {"share": 0.75, "changes_mind": 0.5}]

@@ -2,10 +2,9 @@
 
 import pytest
 import torch
-from tiny import TINY, nightly
+from tiny import TINY, composed, nightly
 
 from bbq_torchrl.options import Task
-from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import build_trainer
 from bbq_torchrl.trainers import losses_of
 from benchmarks.parts.host_waits import NeverWaits, drawn_as_on_a_device
@@ -45,7 +44,7 @@ DAILY = ("bbqn_mc", "dqn_bootstrap", "noisy_dqn")
 @pytest.mark.filterwarnings("ignore:No target network updater")  # on a device without numbers
 @pytest.mark.parametrize("agent", nightly(AGENTS, DAILY))
 def test_a_rounds_updates_never_wait_and_find_all_on_their_device(agent, tmp_path):
-    config = compose([*AGENTS[agent], *SHRUNKEN])
+    config = composed(*AGENTS[agent], *SHRUNKEN)
     trainer, _ = build_trainer(config, tmp_path)
     with drawn_as_on_a_device():
         trainer.begin()
