@@ -135,18 +135,20 @@ class Hearing:
         "What time is the earliest show?" asks for the time: "earliest show" is no clock time.
         """
         asked, informs = dict.fromkeys(reading.frame.requests), {**reading.frame.informs}
-        if moves.is_untold(text) and self.is_unsure(reading) and not informs:
+        if moves.says(text, "untold") and self.is_unsure(reading) and not informs:
             return replace(reading, frame=Frame("not_sure"))
-        for slot in self._spelling.named(text, informs) if moves.asks(text) else ():
+        for slot in self._spelling.named(text, informs) if moves.says(text, "question") else ():
             is_time = informs[slot] == ANY or read_time(informs[slot])
             if self._spelling.lexicon.kinds.get(slot) == "time" and not is_time:
                 del informs[slot]
                 asked[slot] = None
         for clause in moves.questions(text):
             named = set(self._spelling.named(clause, self._domain.slots))  # "when" names two
-            if named and named.isdisjoint(asked):
-                alone = self._nlu(clause, None).frame.requests
-                asked |= dict.fromkeys(slot for slot in alone if slot in named)
+            if named.isdisjoint(asked) and not moves.others(clause):
+                alone = self._nlu(clause, None)
+                is_sure = not named and not self.is_unsure(alone)  # "what is on"
+                found = (slot for slot in alone.frame.requests if slot in named or is_sure)
+                asked |= dict.fromkeys(found)
         act = reading.frame.act if {*asked} == {*reading.frame.requests} else "request"
         return replace(reading, frame=Frame(act, informs, tuple(asked)))
 

@@ -46,6 +46,20 @@ def _words(text: str) -> str:
     return " ".join(tokenize(legible(text)))
 
 
+def says(text: str, *names: str) -> bool:
+    """Returns whether a text has words of one of some patterns of the file.
+
+    Examples:
+        >>> [says(text, "untold") for text in ("how long is the show?", "How far is it?")]
+        [True, False]
+        >>> [says(text, "whether") for text in ("Is it on Friday?", "At 7, right?", "And 7?")]
+        [True, True, False]
+        >>> [says(text, "restart") for text in ("start over", "forget all of it", "forget it")]
+        [True, True, False]
+    """
+    return bool(text) and any(_FIND[name].search(_words(text)) for name in names)
+
+
 def accepts(text: str) -> bool:
     """Returns whether a text accepts an offer and says nothing else.
 
@@ -75,7 +89,7 @@ def beside_yes(text: str) -> str | None:
     """
     if accepts(text):
         return ""
-    if refuses(text):
+    if says(text, "no"):
         return None
     rest, is_yes = [], False
     for piece in _PIECE.findall(_words(text)):
@@ -89,34 +103,15 @@ def beside_yes(text: str) -> str | None:
     return " ".join(rest) if is_yes else None
 
 
-def refuses(text: str) -> bool:
-    """Returns whether a text says no, to whatever."""
-    return _FIND["no"].search(_words(text)) is not None
-
-
-def asks(text: str) -> bool:
-    """Returns whether a text asks something."""
-    return _FIND["question"].search(_words(text)) is not None
-
-
-def is_untold(text: str) -> bool:
-    """Returns whether a text asks what no record says.
+def books(text: str) -> bool:
+    """Returns whether a text has a clause that books, and neither asks nor hesitates.
 
     Examples:
-        >>> [is_untold(text) for text in ("how long is the show?", "How far is it?")]
-        [True, False]
+        >>> [books(text) for text in ("We can't. Book it for two", "don't book it", "book it?")]
+        [True, False, False]
     """
-    return _FIND["untold"].search(_words(text)) is not None
-
-
-def asks_whether(text: str) -> bool:
-    """Returns whether a sentence asks if the booking that is spoken of has something.
-
-    Examples:
-        >>> [asks_whether(text) for text in ("Is it on Friday?", "At 7, right?", "What about 7?")]
-        [True, True, False]
-    """
-    return _FIND["whether"].search(_words(text)) is not None
+    clauses = (clause for clause in _PIECE.findall(_words(text)) if not says(clause, "no"))
+    return not says(text, "question", "hesitates") and any(map(_FIND["books"].search, clauses))
 
 
 def asks_whether_any(text: str) -> bool:
@@ -146,21 +141,19 @@ def sentences(text: str) -> list[str]:
     return found
 
 
-def hesitates(text: str) -> bool:
-    """Returns whether a text makes a condition, or wants time or something else."""
-    return _FIND["hesitates"].search(_words(text)) is not None
-
-
 def questions(text: str) -> list[str]:
-    """Returns the clauses of the sentences that ask something, if there are several.
+    """Returns the clauses of the sentences that ask something, unless one is the whole text.
 
     Examples:
         >>> questions("Where, and on what day?")
         ['where', 'on what day']
+        >>> questions("Friday then. When is it on?"), questions("When is it on?")
+        (['when is it on'], [])
     """
-    asking = filter(_FIND["question"].search, _SENTENCE.findall(_words(text)))
+    whole = _SENTENCE.findall(_words(text))
+    asking = filter(_FIND["question"].search, whole)
     clauses = [part for sentence in asking for part in _AND.split(sentence.strip()) if part]
-    return clauses if len(clauses) > 1 else []
+    return clauses if max(len(clauses), len(whole)) > 1 else []
 
 
 def is_nothing(text: str) -> bool:
@@ -173,25 +166,14 @@ def _plain(text: str) -> str:
     return " ".join(word for word in _words(text).split() if word.isalpha() or "'" in word)
 
 
-def is_restart(text: str) -> bool:
-    """Returns whether a text takes everything back.
-
-    Examples:
-        >>> [is_restart(text) for text in ("Let's start over", "forget everything", "forget it")]
-        [True, True, False]
-    """
-    return _FIND["restart"].search(_words(text)) is not None
-
-
 def about(text: str) -> str:
     """Returns ``"help"`` or ``"bot"`` for a text that asks only about the system, else ``""``."""
     return next((name for name in ("help", "bot") if _FIND[name].fullmatch(_plain(text))), "")
 
 
-def direction(text: str) -> int:
+def direction(text: str, later: str = "later", earlier: str = "earlier") -> int:
     """Returns 1 for a text that asks for something later, -1 for earlier, else 0."""
-    words = _words(text)
-    return bool(_FIND["later"].search(words)) - bool(_FIND["earlier"].search(words))
+    return says(text, later) - says(text, earlier)
 
 
 def others(text: str) -> str:

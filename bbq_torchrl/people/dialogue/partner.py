@@ -7,6 +7,7 @@ from itertools import product
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains import tensorize
+from bbq_torchrl.domains.frames import ANY
 from bbq_torchrl.domains.values import RESERVED_TEXT, fold
 from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.control import Control
@@ -84,6 +85,8 @@ class Partner:
         simulator = Simulator(tensorize(self.domain), max_turn=agent.simulator.max_turn)
         self._tracking = Tracking(simulator, agent.active)
         self.control = Control(simulator, rules)
+        minor = self.control.records.minor & ("names" in self.control.rules)
+        self._details = {self.domain.slots[n] for n in minor.nonzero().flatten().tolist()}
         self._hear = Hearing(nlu, self._spelling, self.control.rules)
         self._questions = Questions(self._spelling, self._hear, nlg)
         self._acting = Acting(agent, self._tracking, self.control)
@@ -105,7 +108,7 @@ class Partner:
         is_about = (bool(before.proposal) or before.is_offered) and not before.asking.is_check
         told = Told("", {}, text, True)
         try:
-            if "drop" in rules and moves.is_restart(text):
+            if "drop" in rules and moves.says(text, "restart"):
                 sentence = self._nlg.say("restart", **words)
                 greeting = self._nlg.agent(Frame("request"), **words)
                 return self._say(Memory(texts=now.texts), f"{sentence} {greeting}")
@@ -115,11 +118,14 @@ class Partner:
                 )
             if is_about and "answers_first" in rules and not moves.accepts(text):
                 told = self._questions(self._ways_out.nearest(before), text, words)
-            reading = self._hear(told.rest or text, self._question(before))
+            question = self._question(before)
+            reading = self._hear(told.rest or text, question)
         except TextError as error:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
         if not told.text:
-            return self._reply(before, reading, text, words, moves.asks(text))
+            reading, lead = self._without_strange(reading, question, words)
+            answer = self._reply(before, reading, text, words, moves.says(text, "question"))
+            return _led(answer, lead) if lead else answer
         is_only = not told.rest or (
             moves.accepts(told.rest) and (before.is_offered or not told.is_yes)
         )
@@ -150,7 +156,7 @@ class Partner:
         question = self._question(before)
         rules = self.control.rules
         reading = self._hear.leaving(reading, text, before.is_offered)
-        is_wish = bool(_values(reading.frame)) and not moves.asks(text)
+        is_wish = bool(_values(reading.frame)) and not moves.says(text, "question")
         others = "way_out" in rules and bool(moves.others(text)) and not is_wish
         held = self._tracking.kept(before.state)
         if "way_out" in rules:
@@ -199,10 +205,10 @@ class Partner:
         # A question that was not heard is no plain sentence.
         is_any = moves.asks_whether_any(text)
         asked = {*reading.frame.requests} - {self.domain.ticket_slot}
-        is_answered = is_any or bool(asked) or not moves.asks(text)
+        is_answered = is_any or bool(asked) or not moves.says(text, "question")
         is_unsure = before.asking.asks(self._nlu, reading, self._ask_below)
         if is_unsure:
-            is_question = "help" in rules and moves.asks(text) and "?" in text
+            is_question = "help" in rules and moves.says(text, "question") and "?" in text
             if is_question and not reading.unclear and self._hear.is_bare(reading.frame):
                 return self._say(now, self._nlg.say("unknown_question", **words), reading)
             values = _values(understood)
@@ -224,7 +230,11 @@ class Partner:
         if dropped:
             answer = _led(answer, self._nlg.say("dropped", dropped, **words))
         known, aside = map(self._tracking.aside, (before.state, answer.memory.state))
-        news = dict(aside.items() - known.items())
+        news = {
+            slot: v
+            for slot, v in aside.items()
+            if v != known.get(slot) or slot in understood.informs
+        }
         names = " ".join(self._ways_out.nearest(answer.memory).values())
         if absent := {slot: value for slot, value in news.items() if value not in names}:
             answer = _led(answer, self._nlg.say("no_promise", values=absent, **words))
@@ -234,6 +244,17 @@ class Partner:
         if is_any and is_found and not (asked or absent):
             answer = _led(answer, self._nlg.say("yes", **words))
         return answer
+
+    def _without_strange(
+        self, reading: Understood, question: Frame | None, words: dict[str, Any]
+    ) -> tuple[Understood, str]:
+        """Returns a reading without details that no record has, and the sentence that says so."""
+        details = self._details.difference(question.requests if question else ())
+        unclear = [one for one in reading.unclear if not (one.candidates or one.is_denied)]
+        names = [one.text for one in unclear if one.slot in details]
+        left = tuple(one for one in reading.unclear if one.text not in names)
+        sentence = self._nlg.say("not_on_file", choices=names, **words) if names else ""
+        return replace(reading, unclear=left), sentence
 
     def _question(self, before: Memory) -> Frame | None:
         """Returns the agent's act that the next text answers."""
@@ -302,8 +323,8 @@ class Partner:
         if beside is None:
             is_named = bool(told.keys() & proposal.keys()) and not said.unclear
             is_named |= self._hear.is_bare(reading.frame, "confirm_answer", "thanks")
-            is_asked = moves.asks(text) and not requests
-            if not is_named or is_asked or moves.hesitates(text) or moves.refuses(text):
+            is_asked = moves.says(text, "question") and not requests
+            if not is_named or is_asked or moves.says(text, "hesitates") or moves.says(text, "no"):
                 return None
         frame = Frame("request" if requests else "inform", {**proposal, **told}, requests)
         return replace(said, frame=frame, confidence=max(said.confidence, _DOUBTFUL))
@@ -323,7 +344,10 @@ class Partner:
         rest = moves.beside_yes(text)
         if rest == "":
             return Understood(Frame("thanks"), 1.0, source=reading.source), False
-        if beside is not None and not asks and not moves.hesitates(rest or text):
+        is_plain = frame.act != "deny" and ANY not in frame.informs.values()
+        if is_plain and moves.books(text) and not reading.unclear:
+            beside = replace(reading, confidence=1.0)
+        if beside is not None and not asks and not moves.says(rest or text, "hesitates"):
             told = _values(beside.frame)
             is_repeated = told.items() <= offer.items()
             says_yes = beside.frame.act in ("confirm_answer", "thanks")  # "sonds good, yes"
@@ -340,7 +364,7 @@ class Partner:
             return replace(reading, frame=Frame("deny"), confidence=1.0, unclear=()), False
         is_bare = self._hear.is_bare
         is_vague = is_bare(frame) and frame.act not in ("deny", "closing")
-        is_vague = is_vague or (is_bare(frame, "deny") and (asks or moves.hesitates(text)))
+        is_vague = is_vague or (is_bare(frame, "deny") and (asks or moves.says(text, "hesitates")))
         if not is_vague:
             return reading, False
         return replace(reading, frame=Frame("not_sure")), False

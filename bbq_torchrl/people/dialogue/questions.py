@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.domains.values import RESERVED_TEXT
+from bbq_torchrl.domains.values import RESERVED_TEXT, fold
 from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.language import Frame
 from bbq_torchrl.people.language.words import tokenize
@@ -50,6 +51,7 @@ class Questions:
         self._spelling, self._hear, self._nlg = spelling, hear, nlg
         domain = spelling.domain
         self._free = {*domain.free_slots, *domain.special_slots}
+        self._spoken_of = {action.slot for action in domain.actions}
 
     def __call__(self, record: Mapping[str, str], text: str, words: dict[str, Any]) -> Told:
         """Returns the answers to the questions of a text about a record.
@@ -63,7 +65,10 @@ class Questions:
         rest: list[str] = []
         told: dict[str, str] = {}
         is_yes = True
+        names = sorted(map(fold, record.values()), key=len, reverse=True)
+        subject = re.compile(rf"\b(is|does) (?:{'|'.join(map(re.escape, names)) or '_'})\b")
         for sentence in moves.sentences(text):
+            sentence = subject.sub(r"\1 it", sentence)
             found = self._answer(record, sentence, words)
             if found is None:
                 rest.append(sentence)
@@ -79,11 +84,11 @@ class Questions:
         self, record: Mapping[str, str], sentence: str, words: dict[str, Any]
     ) -> tuple[str, dict[str, str], bool] | None:
         """Returns an answer, its values, and whether it agrees; ``None`` if there is no answer."""
-        is_whether = moves.asks_whether(sentence)
-        is_about = is_whether or moves.asks(sentence)
+        is_whether = moves.says(sentence, "whether")
+        is_about = is_whether or moves.says(sentence, "question")
         if not is_about or moves.others(sentence) or moves.accepts(sentence):
             return None
-        if moves.is_untold(sentence):
+        if moves.says(sentence, "untold"):
             return self._nlg.say("unknown_question", **words), {}, True
         reading = self._hear(sentence, None)
         meant = {slot: [value] for slot, value in reading.frame.informs.items()}
@@ -99,7 +104,7 @@ class Questions:
             told = {
                 own or slot: record[own or slot]
                 for slot, own in has.items()
-                if own or slot in record
+                if own or slot in record.keys() & self._spoken_of
             }
             if not told:
                 return self._nlg.say("unknown_question", **words), {}, False

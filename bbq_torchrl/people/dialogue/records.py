@@ -61,6 +61,8 @@ class Records:
         vocabulary: for each slot, the text of each value id.
         has: bool ``[R, S]``, whether a record has a slot.
         minor: bool ``[S]``, whether few of the domain's goals constrain a slot.
+        opening: bool ``[S]``, the opening slot.
+        lasting: bool ``[S]``, the opening slot and those that another one determines, as a city.
         determines: bool ``[S, S]``, whether the value of the first slot determines the second's,
             as a city its state: in all records, and for at least eight values with several records.
     """
@@ -76,7 +78,7 @@ class Records:
         costs = torch.tensor([_EACH + _COSTS[kind] for kind in kinds], dtype=torch.float64)
         self._is_place = self.determines.any(0) & ~self.minor
         self._costs = costs + _OPENING * domain.opening
-        self._is_lasting = self._is_place | domain.opening
+        self.opening, self.lasting = domain.opening, self._is_place | domain.opening
         self._minutes = {
             slot: torch.tensor([minutes_of(text) for text in domain.vocabulary[slot]])
             for slot, kind in enumerate(kinds)
@@ -130,6 +132,11 @@ class Records:
         differs, lacks = (part.gather(-2, index).squeeze(-2) for part in (differs, lacks))
         return differs, lacks, distance
 
+    def is_met(self, held: Tensor) -> Tensor:
+        """Returns whether a record has all values held but details, bool ``[*B]``."""
+        differs, lacks = self.compare(held)
+        return ~(differs | (lacks & ~self.minor)).any(-1).all(-1)
+
     def nearest(
         self,
         held: Tensor,
@@ -138,7 +145,7 @@ class Records:
         asked: Sequence[int] = (),
         slot: int | None = None,
         direction: int = 0,
-        is_here: bool = False,
+        stays: Tensor | None = None,
     ) -> dict[int, int]:
         """Returns the values of the nearest record that differ from those held, by slot.
 
@@ -152,16 +159,17 @@ class Records:
             asked: slots that the record should have.
             slot: a slot that must differ; ``None`` for any.
             direction: 1 for a later, -1 for an earlier value of ``slot``.
-            is_here: whether only ``slot`` may differ of the opening slot and the place.
+            stays: bool ``[S]``, slots that may not differ, but for ``slot``.
 
         Returns:
             Empty if no record differs in that way.
         """
         differs, lacks = self.compare(held)
         absent = (lacks & ~self.minor).sum(-1)
-        far, nowhere = (part & self._is_lasting for part in self.compare(self._implied(held)))
+        others = self.compare(self._implied(held))
+        far, nowhere = (part & self.lasting for part in others)
         cost = (differs * self._costs).sum(-1) + torch.where(absent > 1, 1e4, 10.0) * absent
-        cost += 2 * self._is_vague  # "after work" only if there is nothing as near
+        cost += _EACH * self._is_vague  # "after work" only if nothing else is as near
         cost += (lacks & self.minor).sum(-1)
         cost += _PLACE * ((far & self._is_place).any(-1) + 1.2 * nowhere.any(-1))
         cost += _PLACE / 2 * (~self.has[:, list(asked)]).sum(-1)
@@ -174,9 +182,9 @@ class Records:
             if slot == number and direction:
                 cost += torch.where(away * direction > 0, 0.0, torch.inf)
         is_out = ~differs.any(-1) if slot is None else ~differs[:, slot]
-        if is_here:
-            stays = self._is_lasting & (torch.arange(len(held)) != slot)
-            is_out |= ((far | nowhere) & stays).any(-1)
+        if stays is not None:
+            stays = stays & (torch.arange(len(held)) != slot)
+            is_out |= ((others[0] | others[1]) & stays).any(-1)
         cost = cost.masked_fill(is_out | self.with_any(refused), torch.inf)
         place = int(cost.argmin())
         if not torch.isfinite(cost[place]):
@@ -192,9 +200,10 @@ class Records:
             found |= (self._values[:, slots] == torch.tensor(ids)).all(-1)
         return found
 
-    def here(self, held: Tensor) -> Tensor:
-        """Returns the values of the place that hold, long ``[S]``."""
-        return torch.where(self._is_place, self._implied(held), NONE)
+    def here(self, held: Tensor, slots: Tensor | None = None) -> Tensor:
+        """Returns the values of the place, or of some slots ``[S]``, that hold, long ``[S]``."""
+        shown = self._is_place if slots is None else slots & self._constrains
+        return torch.where(shown, self._implied(held), NONE)
 
     def is_same_day(self, held: Tensor, change: Mapping[int, int]) -> bool:
         """Returns whether only the part of a day changes."""
@@ -214,7 +223,9 @@ class Records:
         return implied
 
     def choices(self, held: Tensor, slot: int, direction: int = 0) -> list[int]:
-        """Returns the other values of a slot in records with everything else, the commonest first.
+        """Returns the other values of a slot in records with everything else but details.
+
+        Times are in their order by the clock, others begin with the commonest.
 
         Args:
             held: long ``[S]``, value ids.
@@ -224,17 +235,18 @@ class Records:
         others = held.clone()
         others[slot] = NONE
         differs, lacks = self.compare(others)
-        fits = ~differs.any(-1) & self.has[:, slot]
+        fits = ~(differs | (lacks & ~self.minor)).any(-1) & self.has[:, slot]
         complete = fits & ~lacks.any(-1)
         found = self._values[complete if complete.any() else fits, slot]
         values, counts = found[found != held[slot]].unique(return_counts=True)
         ranked = values[counts.argsort(descending=True, stable=True)].tolist()
-        if slot in self._minutes:  # leave out "after work" if there are times
-            minutes = self._minutes[slot]
+        if (
+            minutes := self._minutes.get(slot)
+        ) is not None:  # leave out "after work" if there are times
+            ranked = sorted(ranked, key=lambda v: float(minutes[v].nan_to_num(torch.inf)))
             ranked = [v for v in ranked if not minutes[v].isnan()] or ranked
-        if slot in self._minutes and direction:
-            away = (minutes - minutes[held[slot]]) * direction
-            ranked = sorted((v for v in ranked if away[v] > 0), key=lambda v: float(away[v]))
+            if direction and held[slot] != NONE:
+                ranked = [v for v in ranked if (minutes[v] - minutes[held[slot]]) * direction > 0]
         return ranked
 
     def row(

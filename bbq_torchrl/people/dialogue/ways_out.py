@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -23,7 +24,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.dialogue.tracking import Tracking
     from bbq_torchrl.people.language import EndpointGenerator, Generator, Understood
 
-_MAX_CHOICES, _MAX_NAMED = 5, 4
+_MAX_NAMED = 4
 _MAX_PROPOSALS = 2
 """The number of refused proposals, or of times that one is made, before the agent asks what may
 change."""
@@ -53,7 +54,12 @@ class WaysOut:
     ) -> None:
         self._lexicon, self._slots = spelling.lexicon, spelling.domain.slots
         self._tracking, self._records, self._nlg = tracking, records, nlg
-        self._place, self._opening = place, spelling.domain.opening_slots
+        self._place, domain, kinds = place, spelling.domain, spelling.lexicon.kinds
+        index, asked = domain.slots.index, {action.slot for action in domain.actions}
+        names = [slot for slot in kinds if slot in asked and kinds[slot] == "text"]
+        # The slot with the most values, as the theater, and what a dialogue is about.
+        self._holder = max(names, key=lambda slot: len(records.vocabulary[index(slot)]))
+        self._thing = next(iter(domain.opening_slots), self._holder)
 
     def others(
         self,
@@ -73,65 +79,99 @@ class WaysOut:
             words: what determines the words.
         """
         assert now.state is not None
-        asked, way = moves.others(text), moves.direction(text)
-        wanted, *other = moves.besides(asked)
-        told, lexicon = {**self._tracking.kept(now.state), **now.proposal}, self._lexicon
+        way = moves.direction(text)
+        end = moves.direction(moves.others(text), "latest", "earliest")
+        told = {**self._tracking.kept(now.state), **now.proposal}
+        slots, stays = self._meant(text, question, told, is_proposed=bool(now.proposal))
+        numbers = [self._slots.index(slot) for slot in slots]
+        number = next((one for one in numbers if self._records.is_listed(one)), None)
+        held, records = full(now.state), self._records
+        is_met = bool(records.is_met(held))
+        if number is None:
+            if is_met and not (now.proposal or now.is_offered):
+                return None
+            return self.alternative(now, reading, words)
+        slot = self._slots[number]
+        named = torch.tensor([name in {slot, *stays} for name in self._slots])
+        proposed = torch.tensor(self._tracking.ids(now.proposal))
+        # Other than what is proposed, unless the text names another one itself.
+        itself = reading.frame.informs.get(slot, now.proposal.get(slot))
+        is_beside = bool((proposed[named] != NONE).any()) or bool(now.proposal and way)
+        if is_beside := is_beside and (bool(way) or itself == now.proposal.get(slot)):
+            takes = proposed if not is_met else torch.where(named, proposed, NONE)
+            held = torch.where(takes != NONE, takes, held)
+        is_wish = (now.state.get("wished", held) > 0) | named | records.opening
+        is_wish &= ~records.determines[:, number]
+        wished = torch.where(is_wish, held, NONE)
+        is_other = bool(way) or moves.says(text, "else")
+        base, found = held, self._choices(held, number, way, end, is_other=is_other)
+        if len(found) < 2 and not (way or end):  # leave out what the agent chose
+            base, found = wished, self._choices(wished, number, is_other=is_other) or found
+        if len(found) > 1:
+            values = tuple(records.vocabulary[number][value] for value in found)
+            sentence = self._nlg.say("several", [slot], choices=values, **words)
+            answered = Frame("multiple_choice", {}, (slot,), values)
+            now = replace(now, asking=Asking(slot=slot, choices=values), proposal={})
+            return Answer(sentence, reading, reading.frame, answered, now)
+        change = dict.fromkeys([number], *found) if found else {}
+        # The wishes stay, unless none has them all.
+        fixed = records.lasting | (is_wish if is_met else named)
+        fixed[number] = False
+        as_told = base.clone()
+        as_told[number] = full(now.state)[number]
+        refused = self.refused(now)
+        nearest = partial(records.nearest, refused=refused, slot=number, direction=way)
+        if change := change or nearest(base, stays=fixed):
+            return self.propose(now, reading, change, words, held=as_told)
+        if is_met or is_beside:
+            use = {1: "nothing_later", -1: "nothing_earlier"}.get(way or end, "no_other")
+            place = self._tracking.values(records.here(base, fixed & (is_wish | self._place)))
+            sentence = self._nlg.say(use if place else "only", [slot], values=place, **words)
+            is_free = not (end or "only" in text) and now.times < _MAX_PROPOSALS
+            freed = fixed & (records.lasting | named)
+            if is_free and (change := nearest(base, stays=freed)):
+                answer = self.propose(now, reading, change, words, held=as_told)
+                return replace(answer, text=f"{sentence} {answer.text}")
+            if now.proposal or now.is_offered:
+                sentence += f" {self._nlg.say('stands', **words)}"
+            now = replace(now, asking=Asking())
+            return Answer(sentence, reading, reading.frame, Frame("not_sure"), now)
+        change = nearest(held) or records.nearest(held, refused, asked=[number])
+        return self.propose(now, reading, change, words)
+
+    def _choices(
+        self, held: torch.Tensor, number: int, way: int = 0, end: int = 0, *, is_other: bool
+    ) -> list[int]:
+        """Returns the values of a slot, or the one at an end; none if it is the one held."""
+        free = held.clone()
+        free[number] = held[number] if is_other else NONE
+        found = self._records.choices(free, number, way)
+        found = found[-1 if end > 0 else 0 :][:1] if end else found
+        return [] if found == [int(held[number])] else found
+
+    def _meant(
+        self, text: str, question: Frame | None, told: Mapping[str, str], *, is_proposed: bool
+    ) -> tuple[list[str], list[str]]:
+        """Returns the slots of which a text asks for others, and those that stay as they are.
+
+        They are named, or else that which the agent listed or asked for last.
+        """
+        wanted, *other = moves.besides(moves.others(text))
+        lexicon, named_values = self._lexicon, moves.named_values
         stays = moves.named_slots(moves.same(wanted), lexicon)
-        slots = [slot for slot in moves.named_slots(wanted, lexicon) if slot not in stays]
-        slots = slots or moves.named_values(" ".join(other), told, lexicon)
-        stays += moves.named_values(wanted, told, lexicon)
+        who = [self._holder] * moves.says(wanted, "holder")
+        slots = who or [s for s in moves.named_slots(wanted, lexicon) if s not in stays]
+        slots = slots or named_values(" ".join(other), told, lexicon)
+        stays += named_values(wanted, told, lexicon)
         # Another of a chain is another theater, whose name begins with the chain's.
         begins = tuple(f"{told.get(slot)} " for slot in stays)
         slots = slots or [slot for slot, name in told.items() if name.startswith(begins)]
-        if not slots and way:
+        if not slots and moves.says(moves.others(text), "later", "earlier", "latest", "earliest"):
             slots = [slot for slot in lexicon.slots if lexicon.kinds[slot] == "time"]
-        slots = slots or [*self._opening][: len(stays)]
-        if not slots and question is not None and question.requests and not now.proposal:
-            slots = [question.requests[0]]
-        numbers = [self._slots.index(slot) for slot in slots]
-        number = next((one for one in numbers if self._records.is_listed(one)), None)
-        held = full(now.state)
-        if now.proposal and (way or stays):  # later than what is proposed
-            proposed = torch.tensor(self._tracking.ids(now.proposal))
-            held = torch.where(proposed != NONE, proposed, held)
-        if number is None:
-            is_stuck = bool(self._records.best(held)[2])
-            if not (now.proposal or is_stuck or now.is_offered):
-                return None
-            return self.alternative(now, reading, words)
-        fixed = [n for n in map(self._slots.index, stays) if n != number and held[n] >= FIRST_VALUE]
-        found = self._records.choices(held, number, way)
-        if len(found) < 2 and not way and "wished" in now.state:  # leave out what the agent chose
-            wished = torch.where(now.state["wished"] > 0, held, NONE)
-            wished[[number, *fixed]] = held[[number, *fixed]]
-            found = self._records.choices(wished, number) or found
-        if len(found) < 2:
-            refused = self.refused(now)
-            change = {number: found[0]} if found else {}
-            nearest, is_met = self._records.nearest, not self._records.best(held)[2]
-            change = change or nearest(held, refused, slot=number, direction=way, is_here=True)
-            if (self._records.row(held, change) != held)[fixed].any():
-                change = {}
-            if is_met and not change:
-                use = {1: "nothing_later", -1: "nothing_earlier"}.get(way, "no_other")
-                here = torch.where(self._place, self._records.here(held), NONE)
-                here[fixed] = held[fixed]
-                place = self._tracking.values(here)
-                sentence = self._nlg.say(use, [self._slots[number]], values=place, **words)
-                if now.proposal or now.is_offered:
-                    sentence += f" {self._nlg.say('stands', **words)}"
-                now = replace(now, asking=Asking())
-                return Answer(sentence, reading, reading.frame, Frame("not_sure"), now)
-            change = change or nearest(held, refused, slot=number, direction=way)
-            change = change or nearest(held, refused, asked=[number])
-            return self.propose(now, reading, change, words)
-        slot = self._slots[number]
-        values = [self._records.vocabulary[number][value] for value in found[:_MAX_CHOICES]]
-        sentence = self._nlg.say("several", [slot], choices=values, **words)
-        asking = Asking(slot=slot, choices=tuple(values))
-        answered = Frame("multiple_choice", {}, (slot,), asking.choices)
-        now = replace(now, asking=asking, proposal={})
-        return Answer(sentence, reading, reading.frame, answered, now)
+        if not slots and question is not None and not is_proposed:
+            is_thing = moves.says(wanted, "thing") and not question.choices
+            slots = [self._thing] if is_thing else [*question.requests][:1]
+        return slots or [self._thing] * bool(stays), stays
 
     def alternative(
         self,
@@ -208,6 +248,7 @@ class WaysOut:
         change: Mapping[int, int],
         words: dict[str, Any],
         asked: Sequence[int] = (),
+        held: torch.Tensor | None = None,
     ) -> Answer:
         """Returns the proposal of a record, or the question what may change.
 
@@ -219,9 +260,10 @@ class WaysOut:
             change: the value id proposed for each slot that changes; may be empty.
             words: what determines the words.
             asked: the slots asked for; the proposal tells their values.
+            held: long ``[S]``, the values that the record should have; ``None`` for all held.
         """
         assert now.state is not None
-        held, records = full(now.state), self._records
+        held, records = full(now.state) if held is None else held, self._records
         now = replace(now, asking=Asking())
         row = records.row(held, change, self.refused(now))
         ids = torch.where(self._place & (row != held), row, 0)

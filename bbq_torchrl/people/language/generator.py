@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 import random
 import re
 from itertools import combinations
@@ -13,6 +14,7 @@ from bbq_torchrl.domains.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Frame
 from bbq_torchrl.people.language.composer import Composer
 from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.phrases import Piece, choose, plain
+from bbq_torchrl.people.language.quantities import minutes_of
 from bbq_torchrl.people.language.words import pairs, word_set
 
 if TYPE_CHECKING:
@@ -99,7 +101,7 @@ class Generator:
 
     def __init__(self, domain: Domain) -> None:
         lexicon = Lexicon(domain)
-        self._domain, self._phrases = domain, lexicon.phrases
+        self._domain, self._phrases, self._kinds = domain, lexicon.phrases, lexicon.kinds
         self._records = [
             {slot: fold(value) for slot, value in record.items()} for record in domain.records
         ]
@@ -172,7 +174,7 @@ class Generator:
             return sentence(self._fill(self._phrases.agent["again"], rng))
         unclear = understood.unclear[0]
         if unclear.candidates:
-            return sentence(self._choose(unclear.slot, unclear.candidates[:_MAX_CHOICES], rng))
+            return sentence(self._choose(unclear.slot, unclear.candidates, rng))
         words = {"<words>": [Piece(unclear.text)]}
         use = "denied" if unclear.is_denied else "unknown"
         return sentence(self._fill(self._phrases.agent[use], rng, unclear.slot, words))
@@ -200,18 +202,25 @@ class Generator:
             turn: the number of the turn in the session.
         """
         rng = chance(session, turn, "agent")
-        written = [self._written(slots[0], value) for value in choices]
         said = {
             "<name>": [Piece(listed([self._phrases.slots[slot].name for slot in slots], "and"))],
-            "<choices>": [Piece(listed(written, "or"))],
+            "<choices>": [
+                Piece(self._choices(slots[0], choices) if slots else listed(choices, "or"))
+            ],
             "<wishes>": self._wishes(values or {}, rng),
             "<other>": self._wishes(other or {}, rng),
         }
         return _polished(sentence(self._fill(self._phrases.agent[use], rng, None, said)))
 
     def _choose(self, slot: str, choices: Sequence[str], rng: random.Random) -> list[Piece]:
-        said = listed([self._written(slot, value) for value in choices], "or")
-        return self._fill(self._phrases.agent["choose"], rng, slot, {"<choices>": [Piece(said)]})
+        said = {"<choices>": [Piece(self._choices(slot, choices))]}
+        return self._fill(self._phrases.agent["choose"], rng, slot, said)
+
+    def _choices(self, slot: str, choices: Sequence[str]) -> str:
+        """Returns the first choices in words, and how many more there are."""
+        written = [self._written(slot, value) for value in choices[:_MAX_CHOICES]]
+        more = len(choices) - len(written)
+        return listed([*written, f"one of {more} others"] if more > 1 else written, "or")
 
     def _tell(
         self, slot: str, value: str, wishes: Mapping[str, str], rng: random.Random
@@ -224,6 +233,9 @@ class Generator:
             said = {"<wishes>": self._wishes({name: wishes[name] for name in clash}, rng)}
             conflict = self._fill(self._phrases.agent["conflict"], rng, None, said)
             return self._fill(phrases["none"], rng, slot, {"<conflict>": conflict})
+        if self._kinds.get(slot) == "time" and math.isnan(minutes_of(value)):  # "after work"
+            words = {"<choices>": [Piece(value)]}
+            return self._fill(self._phrases.agent["no_clock"], rng, slot, words)
         said = {"<wishes>": self._wishes(wishes, rng), slot: [Piece(self._written(slot, value))]}
         return self._fill(phrases["tell"], rng, slot, said)
 

@@ -55,6 +55,9 @@ class Words(Acts):
             "not newark": Understood(
                 Frame("inform"), 0.9, (Unclear("city", "newark", is_denied=True),)
             ),
+            "something whimsical": Understood(
+                Frame("inform", {"moviename": "wonka"}), 0.9, (Unclear("genre", "whimsical"),)
+            ),
             "the cheap seats": Understood(Frame("inform"), 0.1),
         }
         if text == "where?":
@@ -255,6 +258,43 @@ def test_who_asks_for_another_of_a_chain_or_at_that_time_keeps_that(talk, spelli
         is_told = "no other" in answer.text and "theater chain" not in answer.text
         assert is_told or slot in {*act.requests, *told}, answer.text
         assert told.get(kept, record[kept]) == record[kept]
+
+
+def test_others_are_of_what_the_words_name_and_keep_the_wishes(talk, spelling):
+    wishes = {"moviename": "oppenheimer", "city": "los angeles", "date": "tonight"}
+    told = ", ".join(f"{slot}={value}" for slot, value in wishes.items())
+    fits = [record for record in spelling.domain.records if wishes.items() <= record.items()]
+    for text, slot in (("who else shows it?", "theater"), ("which times are there?", "starttime")):
+        _, answer = talk((f"inform({told})", "request(numberofpeople)"), (text,))
+        assert answer.answered.requests == (slot,)
+        assert {*answer.answered.choices} <= {record.get(slot) for record in fits}, text
+    _, answer = talk((f"inform({told})", "request(theater)"), ("what's the latest I could go?",))
+    assert answer.memory.proposal["starttime"] == "11:45pm"
+
+
+def test_an_unknown_detail_is_owned_up_to_and_what_else_was_said_is_acted_on(talk):
+    (answer,) = talk(("something whimsical", "request(city)"))
+    assert "on file about this: whimsical" in answer.text
+    assert answer.answered == Frame("request", {}, ("city",))
+    assert answer.understood.informs == {"moviename": "wonka"}
+
+
+def test_a_detail_is_owned_up_to_whenever_it_is_told(talk, spelling):
+    told = "inform(moviename=barbie, other=based on a book)"
+    first, *_, again = talk(
+        (told, "request(city)"), ("two", "request(city)"), (told, "request(date)")
+    )
+    for answer in (first, again):
+        assert "based on a book" in answer.text
+
+
+def test_the_only_one_is_said_to_be_the_only_one(talk):
+    *_, answer = talk(
+        ("inform(state=ohio, date=tonight, starttime=7:55 pm)", "inform(taskcomplete)"),
+        ("is that the only one?",),
+    )
+    assert "no other movie" in answer.text
+    assert not answer.memory.proposal
 
 
 def test_a_yes_after_a_proposal_takes_that_and_no_earlier_offer(talk):

@@ -150,3 +150,21 @@ def test_an_offer_stands_after_anything_but_a_whole_yes(partner, offer):
     assert ended.count("agent") / len(ended) >= 0.9
     for text in TEXTS["ends"]:
         assert said(partner, offer, text).ended == "agent", text
+
+
+def test_a_clear_booking_is_a_yes_beside_anything_that_contradicts_nothing(partner, offer):
+    assert not [t for t in TEXTS["ends_beside"] if said(partner, offer, t).ended != "agent"]
+    assert not [t for t in TEXTS["not_ends_beside"] if said(partner, offer, t).ended]
+
+
+def test_what_is_asked_beside_a_choice_is_answered(partner):
+    for case in TEXTS["asks"]:
+        answer = said(partner, opened(partner, case["open"]), case["text"])
+        assert case["slot"] in {*answer.answered.informs, *answer.memory.proposal}, case
+
+
+def test_a_detail_that_is_nowhere_on_file_is_owned_up_to_each_time_and_never_affirmed(partner):
+    first = said(partner, opened(partner, "two for wonka in tampa"), "with a magician in 3d please")
+    again = said(partner, first, "Is there one with subtitles and a magician?")
+    for answer in (first, again):
+        assert not answer.text.startswith("Yes")

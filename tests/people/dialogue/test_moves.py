@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from bbq_torchrl.people.dialogue.moves import accepts, beside_yes, is_restart, taken_back
+from bbq_torchrl.people.dialogue.moves import accepts, beside_yes, says, taken_back
 
 TEXTS = yaml.safe_load(Path(__file__).with_name("moves.yaml").read_text(encoding="utf-8"))
 HELD = {
@@ -21,7 +21,7 @@ HELD = {
 
 
 def heard(text, lexicon):
-    return "all" if is_restart(text) else " ".join(taken_back(text, HELD, lexicon))
+    return "all" if says(text, "restart") else " ".join(taken_back(text, HELD, lexicon))
 
 
 @pytest.mark.parametrize("kind", TEXTS["taken_back"])

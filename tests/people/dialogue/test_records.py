@@ -37,6 +37,19 @@ def test_the_one_record_is_near_until_it_is_refused(kept, movie):
     assert records.nearest(ids(**WONKA)) == {}
 
 
+def test_lists_have_what_the_wishes_say_times_by_the_clock_and_no_absent_city(kept, movie):
+    late, early = {**WONKA, "starttime": "9:15 pm"}, {**WONKA, "starttime": "11:30 am"}
+    nowhere = {"moviename": "wonka", "starttime": "5 pm"}
+    records, ids = kept(WONKA, late, early, late, nowhere, {**WONKA, "starttime": "after work"})
+    time = movie.slots.index("starttime")
+    held = ids(moviename="wonka", city="reno", genre="horror")
+    values = [records.vocabulary[time][value] for value in records.choices(held, time)]
+    assert values == ["11:30 am", "6:30 pm", "9:15 pm"]
+    six = ids(moviename="wonka", city="reno", starttime="6:30 pm")
+    later = records.choices(six, time, 1)
+    assert [records.vocabulary[time][value] for value in later] == ["9:15 pm"]
+
+
 def test_a_record_of_absent_values_contradicts_and_offers_nothing(kept, movie):
     records, ids = kept({"genre": "horror"})
     held = ids(moviename="wonka", city="newark")
