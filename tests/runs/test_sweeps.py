@@ -1,26 +1,19 @@
 """The table at the end of a sweep."""
 
-from functools import cache
-
 import pytest
 import yaml
 from result_folders import run_result
+from tiny import composed
 
 from bbq_torchrl.evaluation.run_result import write_json
-from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.folders import save_config
 from bbq_torchrl.runs.prepare import table_of_runs
-
-
-@cache
-def five_rounds():
-    return compose(["protocol.rounds=5"])
 
 
 def make_run(folder, overrides, rate=None, rounds=5):
     (folder / ".hydra").mkdir(parents=True)
     (folder / ".hydra" / "overrides.yaml").write_text(yaml.safe_dump(overrides))
-    save_config(five_rounds(), folder / "config.yaml")
+    save_config(composed("protocol.rounds=5"), folder / "config.yaml")
     if rate is not None:
         write_json(run_result([rate], rounds=rounds), folder / "result.json")
         (folder / "curve.png").touch()

@@ -56,11 +56,8 @@ CASES = {
 
 
 def composed(choices, values):
-    config = tiny.composed(*choices.split(), *SHRUNKEN)
-    for key, value in values.items():
-        group, name = key.split(".")
-        setattr(getattr(config, group), name, value)
-    return config
+    keys = (f"{key}={value}" for key, value in values.items())
+    return tiny.composed(*choices.split(), *SHRUNKEN, *keys)
 
 
 def trained(config, folder):

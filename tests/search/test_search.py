@@ -1,6 +1,5 @@
 """Trials on a made-up training: what is kept, what goes on, what is pruned, what is written."""
 
-import copy
 import dataclasses
 import errno
 import json
@@ -16,9 +15,8 @@ from types import SimpleNamespace
 
 import forked
 import pytest
-from tiny import rows
+from tiny import composed, rows
 
-from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.folders import save_config
 from bbq_torchrl.search.definition import Search, compose_search
 from bbq_torchrl.settings import ConfigError
@@ -76,20 +74,13 @@ class Training:
         return {trial for trial, _ in self.played}
 
 
-@pytest.fixture(scope="module")
-def plain():
-    return compose(["agent=dqn", f"protocol.rounds={ROUNDS}"])
-
-
 @pytest.fixture(autouse=True)
-def composed_once(plain, monkeypatch):
+def composed_once(monkeypatch):
     """Composing takes longer than all else here, and is tested in tests/config."""
 
     def config(self, values):
-        changed = copy.deepcopy(plain)
-        changed.agent.lr = values["agent.lr"]
-        changed.explore.eps_init = values["explore.eps_init"]
-        return changed
+        keys = (f"{key}={values[key]}" for key in ("agent.lr", "explore.eps_init"))
+        return composed("agent=dqn", f"protocol.rounds={ROUNDS}", *keys)
 
     monkeypatch.setattr(Search, "config", config)
 
@@ -129,7 +120,7 @@ def test_the_best_trial_is_written_down_with_the_command_that_trains_it(tmp_path
     assert json.loads((tmp_path / "best.json").read_text()) == best
     program, script, *overrides = shlex.split(best["command"])
     assert (program, script) == ("python", "train.py")
-    lr = compose(overrides).agent.lr
+    lr = composed(*overrides).agent.lr
     assert lr == best["values"]["agent.lr"] == float(table(tmp_path)[best["trial"]]["agent.lr"])
 
 
@@ -248,10 +239,10 @@ def test_a_database_is_not_used_from_another_folder(tmp_path):
         search(tmp_path / "b", shared, trials=2)
 
 
-def test_a_trials_folder_with_a_run_of_other_values_is_left_alone(tmp_path, plain):
+def test_a_trials_folder_with_a_run_of_other_values_is_left_alone(tmp_path):
     other = tmp_path / "trial_0001"
     other.mkdir()
-    save_config(plain, other / "config.yaml")
+    save_config(composed("agent=dqn"), other / "config.yaml")
     before, training = (other / "config.yaml").read_text(), Training()
     search(tmp_path, trials=2, training=training)
     assert training.trials == {0}
