@@ -63,12 +63,16 @@ def assemble(
         others = [span for span in spans if span.slot != asked]  # "The second. We are three."
         informs, unclear = values_of(words, others, lexicon)
         return Frame("inform", {**informs, question.requests[0]: choice}), unclear, 0.0
-    is_short = len(words) <= _SHORT and "?" not in words
-    if is_short and asked in lexicon.slots and lexicon.link(asked, " ".join(words)).is_exact:
-        spans = [Span(asked, 0, len(words))]  # "LA" is the city or the state asked for.
-    else:
+    end = next((at for at, word in enumerate(words) if _CLAUSE.fullmatch(word)), len(words))
+    first = "" if end > _SHORT or words[end : end + 1] == ["?"] else " ".join(words[:end])
+    left = untagged(words, reading.tags)
+    is_part = any(span.slot == asked and span.end > end for span in spans)  # "my son, and me"
+    if asked in lexicon.slots and not is_part and lexicon.link(asked, first).is_exact:
+        # "LA" is the city or the state asked for; so is that of "LA. What is on there?".
+        spans = [Span(asked, 0, end), *(span for span in spans if span.start >= end)]
+        left[:end] = [""] * end
+    if any(left):
         is_bare = act in ("inform", "deny") and not spans  # though it may name something
-        left = untagged(words, reading.tags)
         for span in lexicon.full_names(left, asked if is_bare else None):
             around = (*words[max(span.start - 1, 0) : span.start], *words[span.end : span.end + 1])
             is_sure = sure_kind(" ".join(words[span.start : span.end]))
