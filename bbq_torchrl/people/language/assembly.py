@@ -66,8 +66,8 @@ def assemble(
     end = next((at for at, word in enumerate(words) if _CLAUSE.fullmatch(word)), len(words))
     first = "" if end > _SHORT or words[end : end + 1] == ["?"] else " ".join(words[:end])
     left = untagged(words, reading.tags)
-    is_part = any(span.slot == asked and span.end > end for span in spans)  # "my son, and me"
-    if asked in lexicon.slots and not is_part and lexicon.link(asked, first).is_exact:
+    is_own = end == len(words) or ("?" in words[end:] and asked not in [s.slot for s in spans])
+    if asked in lexicon.slots and is_own and lexicon.link(asked, first).is_exact:
         # "LA" is the city or the state asked for; so is that of "LA. What is on there?".
         spans = [Span(asked, 0, end), *(span for span in spans if span.start >= end)]
         left[:end] = [""] * end
