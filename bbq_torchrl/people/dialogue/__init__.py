@@ -17,6 +17,7 @@ if TYPE_CHECKING:
 
 RULES = {
     "yes_ends": "A yes to an offer that stands, and only that, ends the dialogue.",
+    "asks_first": "What only the person can say is asked for, once, before an offer.",
     "answers_first": "A question is answered before anything else.",
     "no_asking_back": "The agent does not ask for what is known, asked for, or matters to few.",
     "implied": "The agent does not ask for what another value determines, as a city its state.",

@@ -14,7 +14,7 @@ from bbq_torchrl.people.language import Frame
 from bbq_torchrl.simulator import Utterance
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Iterator, Mapping, Sequence
 
     from bbq_torchrl.people.dialogue.control import Control
     from bbq_torchrl.people.dialogue.trained_agent import TrainedAgent
@@ -215,6 +215,14 @@ class Acting:
         booking = domain.action_index(f"inform({domain.complete_slot})")
         self._booking = torch.arange(len(agent.legal)) == booking
         self.place = torch.tensor([slot in domain.essential for slot in domain.slots])
+        # What a booking needs and no record has, and how to ask for it.
+        own = [s for s in domain.essential if s in domain.free_slots]
+        index = {name: number for number, name in enumerate(domain.action_names)}
+        self._of_person = {
+            domain.slots.index(slot): index[name]
+            for slot in own
+            if (name := f"request({slot})") in index and agent.legal[index[name]]
+        }
 
     def hear(self, state: TensorDict | None, understood: Frame) -> TensorDict:
         """Returns the state after a person's act; ``state`` is ``None`` before the first.
@@ -224,7 +232,8 @@ class Acting:
         """
         if state is None:
             heard = self._tracking.start(understood)
-            return self._control.remember(heard.replace(offered=torch.tensor(False)))
+            own = {"offered": torch.tensor(False), "was_asked": heard["agent_requests"]}
+            return self._control.remember(heard.replace(**own))
         heard = self._tracking.hear(state, understood)
         told = heard["user_informs"]
         is_known = ((told == NONE) | (told == full(state))).all()
@@ -286,12 +295,21 @@ class Acting:
                 action = agent.decide(observation, seed, allowed)
             if self._booking[action]:
                 state = self._placed(state, refused)
+                action = next(self._unsaid(state), action)
             state = self._act(state, action, parts)
         aside = {}
         if self._complete in parts[-1][0].informs and "aside" in state:
             is_absent = control.records.having(state["held"]) == 0
             aside = self._tracking.values(torch.where(is_absent, state["aside"], NONE))
         return Acted(understood, state, tuple(parts), rules, aside)
+
+    def _unsaid(self, state: TensorDict) -> Iterator[int]:
+        """Yields the requests of what only the person can say and was never asked."""
+        for slot, request in self._of_person.items():
+            if "asks_first" in self._control.rules and not (
+                state["held"][slot] or state["offered"] or state["was_asked"][slot]
+            ):
+                yield request
 
     def _answer(
         self, state: TensorDict, understood: Frame, legal: torch.Tensor, seed: int
@@ -324,6 +342,7 @@ class Acting:
         answered = self._tracking.answered(after)
         assert answered is not None
         parts.append((answered, self._tracking.values(state["held"])))
+        after["was_asked"] = state["was_asked"] | after["agent_requests"]
         if self._booking[action]:
             is_available = after["agent_informs"][self._agent.domain.slots.index(self._complete)]
             return after.replace(offered=is_available == AVAILABLE)

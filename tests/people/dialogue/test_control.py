@@ -13,6 +13,7 @@ from acts import Acts
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.values import NO_MATCH, NONE
 from bbq_torchrl.people.chat import Partner
+from bbq_torchrl.people.dialogue import RULES
 from bbq_torchrl.people.dialogue.control import Control
 from bbq_torchrl.people.dialogue.judge import Judge
 from bbq_torchrl.people.dialogue.records import Records
@@ -74,9 +75,13 @@ def partner_with(agents, mouth, spelling):
 
 @pytest.fixture
 def talk(partner_with, monkeypatch):
-    """Talks with an agent that takes the first allowed of the actions it prefers in each turn."""
+    """Talks with an agent that takes the first allowed of the actions it prefers in each turn.
 
-    def talk(*turns, rules=None):
+    Without ``rules`` it has all but ``asks_first``, so that an offer needs no number of people.
+    """
+    most = tuple(name for name in RULES if name != "asks_first")
+
+    def talk(*turns, rules=most):
         partner = partner_with(rules)
         answers, memory = [], None
         for number, (text, *preferred) in enumerate(turns):
@@ -100,6 +105,15 @@ OFFER = (
     "inform(moviename=guardians of the galaxy vol. 3, city=newark)",
     "inform(taskcomplete)",
 )
+
+
+def test_what_only_the_person_can_say_is_asked_for_once_before_an_offer(talk):
+    *_, asked = talk(OFFER, rules=None)
+    assert asked.answered.requests == ("numberofpeople",)
+    for text, number in (("inform(numberofpeople=2)", "2"), ("inform(city=newark)", None)):
+        *_, offer = talk(OFFER, (text, "inform(taskcomplete)"), rules=None)
+        assert "taskcomplete" in offer.answered.informs
+        assert offer.answered.informs.get("numberofpeople") == number
 
 
 def test_a_yes_to_an_offer_that_stands_ends_the_dialogue(talk):
