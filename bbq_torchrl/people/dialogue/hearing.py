@@ -17,6 +17,9 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.dialogue.spelling import Spelling
     from bbq_torchrl.people.language import Nlu
 
+DOUBTFUL = 0.5
+"""The confidence below which a reading is more likely wrong than right, and its values checked."""
+
 
 class Hearing:
     """Reads texts, with their values in the one spelling.

@@ -31,7 +31,7 @@ _YES = _pattern(r"(?:<yes>)(?![\w']) ?(?:(?:and|but|so|then) )*")
 _BEFORE = [_pattern(rf"\b(?:{text})\b(?P<x>.*)") for text in _DATA["before"]]
 _AFTER = [_pattern(rf"(?P<x>.*?)(?: |(?='s))(?:{text})(?!\w)") for text in _DATA["after"]]
 _FIND = {name: _pattern(text) for name, text in _DATA.items() if isinstance(text, str)}
-_CLAUSE = re.compile(r" ?[,.;!?:()] ?| (?:but|and then) ")
+_CLAUSE = re.compile(r" ?(?:[,.;!?()]|:(?!\d)) ?| (?:but|and then) ")
 _SENTENCE = re.compile(r"[^.;!?]+[.;!?]*")
 _NEXT = re.compile(
     r" (?:, )?(?:and|but|also)(?: also)? (?=(?:is|are|does|do|will|can|wh\w+|how)(?!\S))"

@@ -12,7 +12,7 @@ from bbq_torchrl.domains.values import RESERVED_TEXT, fold
 from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.control import Control
 from bbq_torchrl.people.dialogue.exchange import Answer, Memory
-from bbq_torchrl.people.dialogue.hearing import Hearing
+from bbq_torchrl.people.dialogue.hearing import DOUBTFUL, Hearing
 from bbq_torchrl.people.dialogue.questions import Questions, Told
 from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.dialogue.tracking import Acting, Tracking, full
@@ -35,10 +35,6 @@ if TYPE_CHECKING:
 _MAX_NAMED = 4
 _MAX_DENIED = 4
 """The number of refused offers after which the agent ends the conversation."""
-
-_DOUBTFUL = 0.5
-"""The confidence below which values are checked before the agent acts on them: the confidence is
-the probability that a reading is right, so it is then more likely wrong."""
 
 
 class Partner:
@@ -200,7 +196,8 @@ class Partner:
             state = self._acting.hear(before.state, Frame("inform", told))
             found = self._ways_out.others(replace(now, state=state), reading, text, question, words)
             if found is not None:
-                return found
+                beside = self._questions(self._ways_out.nearest(found.memory), text, words)
+                return _led(found, beside.text) if beside.text else found
         understood = before.asking.joined(reading.frame)
         # A question that was not heard is no plain sentence.
         is_any = moves.asks_whether_any(text)
@@ -215,7 +212,7 @@ class Partner:
             if reading.unclear or not values or "confirm" not in rules:
                 return self._ask_again(now, reading, self._nlg.clarify(reading, **words))
             is_plain = self._spelling.is_named(text, values) and is_answered
-            if not (is_plain or before.asking.is_check) and reading.confidence < _DOUBTFUL:
+            if not (is_plain or before.asking.is_check) and reading.confidence < DOUBTFUL:
                 now = replace(now, asking=now.asking.checking(reading))
                 answered = Frame("not_sure", values)
                 sentence = self._nlg.say("check", values=values, **words)
@@ -307,7 +304,7 @@ class Partner:
             return reading
         if self._hear.is_bare(beside.frame) and not beside.unclear:
             return replace(reading, frame=waiting, confidence=1.0, unclear=())
-        return replace(beside, confidence=max(beside.confidence, _DOUBTFUL))
+        return replace(beside, confidence=max(beside.confidence, DOUBTFUL))
 
     def _taken(self, before: Memory, reading: Understood, text: str) -> Understood | None:
         """Returns the meaning of a text that takes a proposal, by a yes or by naming its values.
@@ -327,7 +324,7 @@ class Partner:
             if not is_named or is_asked or moves.says(text, "hesitates") or moves.says(text, "no"):
                 return None
         frame = Frame("request" if requests else "inform", {**proposal, **told}, requests)
-        return replace(said, frame=frame, confidence=max(said.confidence, _DOUBTFUL))
+        return replace(said, frame=frame, confidence=max(said.confidence, DOUBTFUL))
 
     def _to_offer(
         self, before: Memory, reading: Understood, text: str, asks: bool

@@ -6,13 +6,15 @@ import re
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
+from bbq_torchrl.domains.frames import NO_MATCH_TEXT
 from bbq_torchrl.domains.values import RESERVED_TEXT, fold
 from bbq_torchrl.people.dialogue import moves
+from bbq_torchrl.people.dialogue.hearing import DOUBTFUL
 from bbq_torchrl.people.language import Frame
 from bbq_torchrl.people.language.words import tokenize
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Mapping, Sequence
 
     from bbq_torchrl.people.dialogue.hearing import Hearing
     from bbq_torchrl.people.dialogue.spelling import Spelling
@@ -68,8 +70,7 @@ class Questions:
         names = sorted(map(fold, record.values()), key=len, reverse=True)
         subject = re.compile(rf"\b(is|does) (?:{'|'.join(map(re.escape, names)) or '_'})\b")
         for sentence in moves.sentences(text):
-            sentence = subject.sub(r"\1 it", sentence)
-            found = self._answer(record, sentence, words)
+            found = self._answer(record, subject.sub(r"\1 it", sentence), words)
             if found is None:
                 rest.append(sentence)
                 continue
@@ -93,6 +94,8 @@ class Questions:
         reading = self._hear(sentence, None)
         meant = {slot: [value] for slot, value in reading.frame.informs.items()}
         meant |= {one.slot: [*one.candidates] or [one.text] for one in reading.unclear}
+        if any(record.get(slot, v[0]) not in v for slot, v in meant.items() if slot in self._free):
+            return None
         meant = {slot: v for slot, v in meant.items() if slot not in self._free}
         meant = {slot: v for slot, v in meant.items() if v[0] not in RESERVED_TEXT.values()}
         if is_whether and not meant:
@@ -100,7 +103,10 @@ class Questions:
             for slot, start, end in self._spelling.lexicon.full_names(said):
                 meant[slot] = [" ".join(said[start:end])]
         has = {slot: self._having(record, values) for slot, values in meant.items()}
-        if is_whether and meant:
+        is_guess = reading.confidence < DOUBTFUL
+        is_detail = moves.says(sentence, "detail") and meant.keys().isdisjoint(self._spoken_of)
+        is_detail &= is_guess or all(has[slot] or slot not in record for slot in meant)
+        if is_detail or (is_whether and meant):
             told = {
                 own or slot: record[own or slot]
                 for slot, own in has.items()
@@ -113,17 +119,19 @@ class Questions:
             return f"{self._nlg.say('yes' if is_yes else 'no', **words)} {values}", told, is_yes
         asked = {*reading.frame.requests} - self._free
         if not asked or self._hear.is_unsure(reading):
-            named = self._spelling.named(sentence, record)
+            named = self._spelling.named(sentence, sorted({*record} - self._free))
             asked = asked & {*named} or {*named[:1]}
-        if asked and not meant and asked <= record.keys():
-            told = {slot: value for slot, value in record.items() if slot in asked}
+        if asked and not meant:
+            told = {slot: record.get(slot, NO_MATCH_TEXT) for slot in sorted(asked)}
             return self._nlg.agent(Frame("inform", told), **words), told, True
-        if not asked and not meant and not reading.frame.informs:
+        if not (asked or reading.frame.informs) and (is_guess or not meant):
             return self._nlg.say("unknown_question", **words), {}, True
         return None
 
-    def _having(self, record: Mapping[str, str], values: Iterable[str]) -> str | None:
-        """Returns the slot of a record that has one of some values."""
+    def _having(self, record: Mapping[str, str], values: Sequence[str]) -> str | None:
+        """Returns the slot of a record that has one of some values, or a name with it in it."""
         key = self._spelling.lexicon.key
-        pairs = ((slot, key(slot, value)) for slot, value in record.items())
-        return next((slot for slot, own in pairs if own in [key(slot, v) for v in values]), None)
+        for slot, own in record.items():
+            if any(f" {v} " in f" {own} " or key(slot, own) == key(slot, v) for v in values):
+                return slot
+        return None

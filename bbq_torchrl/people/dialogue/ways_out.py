@@ -55,6 +55,7 @@ class WaysOut:
         self._lexicon, self._slots = spelling.lexicon, spelling.domain.slots
         self._tracking, self._records, self._nlg = tracking, records, nlg
         self._place, domain, kinds = place, spelling.domain, spelling.lexicon.kinds
+        self._free = torch.tensor([slot in domain.free_slots for slot in domain.slots])
         index, asked = domain.slots.index, {action.slot for action in domain.actions}
         names = [slot for slot in kinds if slot in asked and kinds[slot] == "text"]
         # The slot with the most values, as the theater, and what a dialogue is about.
@@ -81,11 +82,10 @@ class WaysOut:
         assert now.state is not None
         way = moves.direction(text)
         end = moves.direction(moves.others(text), "latest", "earliest")
-        told = {**self._tracking.kept(now.state), **now.proposal}
+        told = {**self._tracking.kept(now.state), **now.proposal, **reading.frame.informs}
         slots, stays = self._meant(text, question, told, is_proposed=bool(now.proposal))
-        numbers = [self._slots.index(slot) for slot in slots]
-        number = next((one for one in numbers if self._records.is_listed(one)), None)
         held, records = full(now.state), self._records
+        number = next((n for n in map(self._slots.index, slots) if records.is_listed(n)), None)
         is_met = bool(records.is_met(held))
         if number is None:
             if is_met and not (now.proposal or now.is_offered):
@@ -166,7 +166,9 @@ class WaysOut:
         # Another of a chain is another theater, whose name begins with the chain's.
         begins = tuple(f"{told.get(slot)} " for slot in stays)
         slots = slots or [slot for slot, name in told.items() if name.startswith(begins)]
-        if not slots and moves.says(moves.others(text), "later", "earlier", "latest", "earliest"):
+        if " the only" in wanted:  # "is 7 pm the only one?"
+            slots = slots or named_values(wanted.split(" the only")[0], told, lexicon)
+        if not slots and moves.says(moves.others(text), "time"):
             slots = [slot for slot in lexicon.slots if lexicon.kinds[slot] == "time"]
         if not slots and question is not None and not is_proposed:
             is_thing = moves.says(wanted, "thing") and not question.choices
@@ -230,11 +232,16 @@ class WaysOut:
         return [pairs for pairs in refused if pairs]
 
     def nearest(self, memory: Memory) -> dict[str, str]:
-        """Returns the record that is proposed or offered, or else nearest to the wishes, if any."""
+        """Returns the record that is proposed or offered, or else nearest to the wishes, if any.
+
+        What is told that no record has, such as the number of people, is among its values.
+        """
         if memory.state is None:
             return {}
         change, refused = dict(self._pairs(memory.proposal)), self.refused(memory)
-        return self._tracking.values(self._records.row(full(memory.state), change, refused))
+        held = full(memory.state)
+        row = self._records.row(held, change, refused)
+        return self._tracking.values(torch.where(self._free & (held >= FIRST_VALUE), held, row))
 
     def refuse(self, now: Memory) -> Memory:
         """Returns the memory after the offered record is refused."""

@@ -70,8 +70,9 @@ def test_a_proposal_is_taken_by_a_yes_with_more_or_by_its_name(partner):
 
 def test_whether_a_record_has_a_value_is_answered_and_changes_nothing(partner, offer):
     before = opened(partner, "two tickets for barbie on christmas eve at 5 pm")
+    values = {**before.memory.proposal, "chain": before.memory.proposal["theater"].split()[0]}
     for case in TEXTS["whether"]:
-        answer = said(partner, before, case["text"].format(**before.memory.proposal))
+        answer = said(partner, before, case["text"].format(**values))
         assert case["says"] in answer.text, case
         assert answer.memory.proposal == before.memory.proposal, case
     for text in TEXTS["not_whether"]:
@@ -168,3 +169,22 @@ def test_a_detail_that_is_nowhere_on_file_is_owned_up_to_each_time_and_never_aff
     again = said(partner, first, "Is there one with subtitles and a magician?")
     for answer in (first, again):
         assert not answer.text.startswith("Yes")
+
+
+def test_who_asks_for_another_time_is_not_told_the_known_one(partner, offer):
+    time = offer.answered.informs["starttime"]
+    for text in (
+        "And when else could we see it?",
+        "another screening?",
+        f"is {time} the only one?",
+    ):
+        answer = said(partner, offer, text)
+        assert answer.answered.informs.get("starttime") != time, text
+        assert answer.memory.proposal or answer.answered.choices or "no other" in answer.text, text
+
+
+def test_what_is_asked_beside_a_question_for_others_is_answered(partner, offer):
+    opening = opened(partner, "which movies are on in tampa?")
+    for before in (offer, opening):
+        answer = said(partner, before, "What other films are there, and how much is it?")
+        assert any(words in answer.text for words in ("price", "on file")), answer.text
