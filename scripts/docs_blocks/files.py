@@ -104,7 +104,7 @@ def _mean(rows: list[dict[str, str]], key: str) -> str:
 
 @block("chat.strangers")
 def _strangers() -> str:
-    """Returns what came of conversations typed by strangers to the code, a column for each set."""
+    """Returns what came of the last sets of conversations typed by strangers to the code."""
     quantities = {
         "success by the study's judge": ("judge", None),
         "success as the person felt it": ("felt", None),
@@ -116,7 +116,7 @@ def _strangers() -> str:
         "booked, or ended, against the person's will": ("against_will", None),
     }
     cells, rows = {}, read_csv("strangers.csv")
-    for commit in dict.fromkeys(row["commit"] for row in rows):
+    for commit in list(dict.fromkeys(row["commit"] for row in rows))[-5:]:
         own = [row for row in rows if row["commit"] == commit]
         for name, (key, of) in quantities.items():
             total = len(own) if of is None else sum(int(row[of]) for row in own)
