@@ -140,8 +140,8 @@ def _story() -> str:
         (
             "Thompson sampling explores better",
             "the same learner books {} of its training dialogues by Thompson sampling, {} "
-            "greedily, {} by ε and {} by Boltzmann. But the Gaussian process: {} of the first 1,000 "
-            "against Boltzmann, and DQN ends {} higher greedily than by the paper's ε".format(
+            "greedily, {} by ε and {} by Boltzmann. But the Gaussian process: {} of the first "
+            "1,000 against Boltzmann, and DQN ends {} higher greedily than by the paper's ε".format(
                 *(short(fmean(own.cumulative)) for own in explorers),
                 process,
                 minus(greedily, by_epsilon, "final"),
