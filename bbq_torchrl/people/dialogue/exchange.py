@@ -40,7 +40,7 @@ class Memory:
 
     @property
     def is_offered(self) -> bool:
-        """Whether the agent's offer stands."""
+        """True while the agent's offer stands."""
         return self.state is not None and bool(self.state["offered"])
 
     def to_json(self) -> str:

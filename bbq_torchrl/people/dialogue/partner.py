@@ -375,6 +375,7 @@ class Partner:
         *,
         is_booked: bool,
     ) -> Answer:
+        """Returns the policy's answer to an act, or the way out if no record has all wishes."""
         before, rules, is_offered = now.state, self.control.rules, now.is_offered
         is_denied = is_offered and self._hear.is_bare(understood, "deny")
         told = {**understood.informs}

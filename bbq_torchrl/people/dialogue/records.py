@@ -240,9 +240,8 @@ class Records:
         found = self._values[complete if complete.any() else fits, slot]
         values, counts = found[found != held[slot]].unique(return_counts=True)
         ranked = values[counts.argsort(descending=True, stable=True)].tolist()
-        if (
-            minutes := self._minutes.get(slot)
-        ) is not None:  # leave out "after work" if there are times
+        minutes = self._minutes.get(slot)
+        if minutes is not None:  # leave out "after work" if there are times
             ranked = sorted(ranked, key=lambda v: float(minutes[v].nan_to_num(torch.inf)))
             ranked = [v for v in ranked if not minutes[v].isnan()] or ranked
             if direction and held[slot] != NONE:

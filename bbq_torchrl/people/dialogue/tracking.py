@@ -14,7 +14,7 @@ from bbq_torchrl.people.language import Frame
 from bbq_torchrl.simulator import Utterance
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator, Mapping, Sequence
+    from collections.abc import Mapping, Sequence
 
     from bbq_torchrl.people.dialogue.control import Control
     from bbq_torchrl.people.dialogue.trained_agent import TrainedAgent
@@ -216,12 +216,11 @@ class Acting:
         self._booking = torch.arange(len(agent.legal)) == booking
         self.place = torch.tensor([slot in domain.essential for slot in domain.slots])
         # What a booking needs and no record has, and how to ask for it.
-        own = [s for s in domain.essential if s in domain.free_slots]
-        index = {name: number for number, name in enumerate(domain.action_names)}
         self._of_person = {
-            domain.slots.index(slot): index[name]
-            for slot in own
-            if (name := f"request({slot})") in index and agent.legal[index[name]]
+            domain.slots.index(action.slot): number
+            for number, action in enumerate(domain.actions)
+            if action.act == "request" and agent.legal[number] and "asks_first" in control.rules
+            if action.slot in domain.essential and action.slot in domain.free_slots
         }
 
     def hear(self, state: TensorDict | None, understood: Frame) -> TensorDict:
@@ -295,21 +294,15 @@ class Acting:
                 action = agent.decide(observation, seed, allowed)
             if self._booking[action]:
                 state = self._placed(state, refused)
-                action = next(self._unsaid(state), action)
+                is_known = (full(state) != NONE) | state["was_asked"] | state["offered"]
+                unsaid = (ask for slot, ask in self._of_person.items() if not is_known[slot])
+                action = next(unsaid, action)
             state = self._act(state, action, parts)
         aside = {}
         if self._complete in parts[-1][0].informs and "aside" in state:
             is_absent = control.records.having(state["held"]) == 0
             aside = self._tracking.values(torch.where(is_absent, state["aside"], NONE))
         return Acted(understood, state, tuple(parts), rules, aside)
-
-    def _unsaid(self, state: TensorDict) -> Iterator[int]:
-        """Yields the requests of what only the person can say and was never asked."""
-        for slot, request in self._of_person.items():
-            if "asks_first" in self._control.rules and not (
-                state["held"][slot] or state["offered"] or state["was_asked"][slot]
-            ):
-                yield request
 
     def _answer(
         self, state: TensorDict, understood: Frame, legal: torch.Tensor, seed: int

@@ -96,8 +96,9 @@ class WaysOut:
         proposed = torch.tensor(self._tracking.ids(now.proposal))
         # Other than what is proposed, unless the text names another one itself.
         itself = reading.frame.informs.get(slot, now.proposal.get(slot))
-        is_beside = bool((proposed[named] != NONE).any()) or bool(now.proposal and way)
-        if is_beside := is_beside and (bool(way) or itself == now.proposal.get(slot)):
+        is_named = bool((proposed[named] != NONE).any()) and itself == now.proposal.get(slot)
+        is_beside = bool(now.proposal) if way else is_named
+        if is_beside:
             takes = proposed if not is_met else torch.where(named, proposed, NONE)
             held = torch.where(takes != NONE, takes, held)
         is_wish = (now.state.get("wished", held) > 0) | named | records.opening
@@ -113,7 +114,7 @@ class WaysOut:
             answered = Frame("multiple_choice", {}, (slot,), values)
             now = replace(now, asking=Asking(slot=slot, choices=values), proposal={})
             return Answer(sentence, reading, reading.frame, answered, now)
-        change = dict.fromkeys([number], *found) if found else {}
+        change = {number: found[0]} if found else {}
         # The wishes stay, unless none has them all.
         fixed = records.lasting | (is_wish if is_met else named)
         fixed[number] = False
@@ -168,7 +169,8 @@ class WaysOut:
         slots = slots or [slot for slot, name in told.items() if name.startswith(begins)]
         if " the only" in wanted:  # "is 7 pm the only one?"
             slots = slots or named_values(wanted.split(" the only")[0], told, lexicon)
-        if not slots and moves.says(moves.others(text), "time"):
+        times = "time", "later", "earlier", "latest", "earliest"
+        if not slots and moves.says(moves.others(text), *times):
             slots = [slot for slot in lexicon.slots if lexicon.kinds[slot] == "time"]
         if not slots and question is not None and not is_proposed:
             is_thing = moves.says(wanted, "thing") and not question.choices

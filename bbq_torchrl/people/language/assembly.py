@@ -96,7 +96,7 @@ def assemble(
 
 def _whole_quantities(words: Sequence[str], spans: Sequence[Span], lexicon: Lexicon) -> list[Span]:
     """Returns tagged spans, each in the quantity that it is a part of: "2 adults and a kid"."""
-    names = lexicon.full_names(words)
+    names = lexicon.full_names(words) if spans else []
     sure = [name for name in names if sure_kind(" ".join(words[name.start : name.end]))]
     whole = {
         next((name for name in sure if name.start <= at.start and at.end <= name.end), at)
