@@ -89,11 +89,7 @@ class Lexicon:
             for slot in self._values
         }
         self.keys = {slot: self._keys(slot) for slot in self._values}
-        self._by_key: dict[str, dict[str, list[str]]] = {}
-        for slot, values in self._values.items():
-            self._by_key[slot] = defaultdict(list)
-            for value in values:
-                self._by_key[slot][self.keys[slot][value]].append(value)
+        self._spelled = {slot: self._spellings(slot) for slot in self._values}
         self._plurals = {
             slot: {plural: key for text, key in keys.items() if (plural := _plural(text))}
             if self.kinds[slot] == "text"
@@ -110,9 +106,6 @@ class Lexicon:
         owners = Counter(name for names in self._names.values() for name in names)
         self._only = {
             name: slot for slot, names in self._names.items() for name in names if owners[name] == 1
-        }
-        self._exact = {
-            slot: {fold(value): value for value in values} for slot, values in self._values.items()
         }
         self.link = lru_cache(maxsize=50_000)(self._link)
         self._near_names = cache(partial(_Names, self))
@@ -164,26 +157,24 @@ class Lexicon:
             for slot, keys in self.keys.items()
         }
 
-    def spelling(self, slot: str, key: str) -> str:
-        """Returns the most frequent spelling of a key."""
-        spellings = self._by_key[slot][key]
-        return max(spellings, key=lambda value: self._frequency[slot, fold(value)])
+    def _spellings(self, slot: str) -> dict[str, str]:
+        """Returns the most frequent spelling of each key, the first of equal ones."""
+        spelled: dict[str, str] = {}
+        for value in sorted(self._values[slot], key=lambda v: -self._frequency[slot, fold(v)]):
+            spelled.setdefault(self.keys[slot][value], value)
+        return spelled
 
     def respell(self, slot: str, value: str) -> str:
         """Returns the most frequent spelling of a value; an unknown value is unchanged."""
-        key = self.key(slot, value)
-        return self.spelling(slot, key) if key in self._by_key.get(slot, {}) else value
+        return self._spelled.get(slot, {}).get(self.key(slot, value), value)
 
     def _link(self, slot: str, text: str) -> Link:
         """Returns the value, or the values, that ``text`` names."""
         name, kind = compact(text), self.kinds[slot]
         if not name or (kind == "count" and _NEGATIVE.search(text)):
             return Link((), 0.0)
-        if (value := self._exact[slot].get(fold(text))) is not None:
-            return Link((value,), 1.0)
         if (key := self._names[slot].get(name)) is not None:
-            exact = [value for value in self._by_key[slot][key] if compact(value) == name]
-            return Link((exact[0] if exact else self.spelling(slot, key),), 1.0)
+            return Link((self._spelled[slot][key],), 1.0)
         if kind != "text":
             if (found := self._quantity(slot, kind, text)) is not None:
                 return found
@@ -213,24 +204,17 @@ class Lexicon:
             value: the value.
         """
         key = self.key(slot, value)
-        places = _places(words)
-        best, best_fit = None, 0.0
-        for at in sorted(places, key=len, reverse=True):
-            if tuple(words[at.start : at.stop]) in self.names[slot] and self._fit(
-                words, at, slot, key
-            ):
-                return at
-        for at in sorted(places, key=len):
-            if (fit := self._fit(words, at, slot, key)) > best_fit:
-                best, best_fit = at, fit
-            if fit == 1.0:
-                break
-        return best
 
-    def _fit(self, words: Sequence[str], place: range, slot: str, key: str) -> float:
-        """Returns how well words name the value of a key; 0 if they name another or several."""
-        link = self.link(slot, " ".join(words[place.start : place.stop]))
-        return link.score if [self.key(slot, value) for value in link.values] == [key] else 0.0
+        def fit(at: range) -> float:
+            link = self.link(slot, " ".join(words[at.start : at.stop]))
+            return link.score if [self.key(slot, v) for v in link.values] == [key] else 0.0
+
+        places, names = sorted(_places(words), key=len), self.names[slot]
+        full = [at for at in places if tuple(words[at.start : at.stop]) in names and fit(at)]
+        if full:
+            return next(at for at in full if len(at) == len(full[-1]))
+        best = max(places, key=fit, default=None)
+        return best if best is not None and fit(best) else None
 
     def longer(self, words: Sequence[str], slot: str, name: str) -> tuple[str, ...]:
         """Returns the values of whose names a sentence has more words than a name."""
@@ -264,7 +248,7 @@ class Lexicon:
         read = READERS[kind](text)
         if read is None:
             return None
-        known = self._by_key[slot]
+        known = self._spelled[slot]
         tries = [read.rstrip("?")]
         if kind == "time":
             relation, clock = tries[0].split()
@@ -284,7 +268,7 @@ class Lexicon:
             tries += days if len(days) == 1 else []
         for score, key in zip((1.0, 0.9, 0.85, 0.8, 0.8), tries, strict=False):
             if key in known:
-                return Link((self.spelling(slot, key),), score)
+                return Link((known[key],), score)
         return None
 
     def _nearest(self, slot: str, text: str) -> Link:
@@ -295,7 +279,7 @@ class Lexicon:
             return Link((), ranked[0][1] if ranked else 0.0)
         best = ranked[0][1]
         ties = [key for key, score in ranked[:_MAX_TIES] if score > best - _CLOSE]
-        return Link(tuple(self.spelling(slot, key) for key in ties), best)
+        return Link(tuple(self._spelled[slot][key] for key in ties), best)
 
 
 def _places(words: Sequence[str]) -> list[range]:

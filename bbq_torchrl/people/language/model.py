@@ -10,11 +10,12 @@ from collections import Counter
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NoReturn
 
 import torch
 from torch import nn
 from torch.nn import functional
+from tqdm import tqdm
 
 from bbq_torchrl.domains.frames import Frame
 from bbq_torchrl.people.language.asking import FOREIGN, asked_slot
@@ -23,8 +24,9 @@ from bbq_torchrl.people.language.words import OUTSIDE
 from bbq_torchrl.utils.output import needed
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Sequence
+    from collections.abc import Iterable, Sequence
 
+    from bbq_torchrl.domains import Domain
     from bbq_torchrl.people.language.corpus import Example
     from bbq_torchrl.people.language.lexicon import Lexicon
 
@@ -47,7 +49,6 @@ class Tagger:
         rows: Sequence[Sequence[Sequence[str]]],
         tags: Sequence[Sequence[str]],
         steps: int,
-        tick: Callable[[], object] = bool,
     ) -> Tagger:
         """Returns a tagger fitted to sentences.
 
@@ -55,14 +56,13 @@ class Tagger:
             rows: the features of each word of each sentence.
             tags: the tag of each word of each sentence.
             steps: the maximum number of steps of L-BFGS.
-            tick: called after each step.
         """
         trainer = needed("python-crfsuite", "pycrfsuite").Trainer()
-        trainer.message = lambda text: tick() if "Iteration #" in text else None
         for row, own in zip(rows, tags, strict=True):
             trainer.append(row, own)
         trainer.set_params({"c1": 0.05, "c2": 0.02, "max_iterations": steps, "feature.minfreq": 2})
-        with tempfile.TemporaryDirectory() as folder:
+        with tempfile.TemporaryDirectory() as folder, _progress("learning words", steps) as bar:
+            trainer.message = lambda text: bar.update("Iteration #" in text)
             path = Path(folder) / "tagger.crf"
             trainer.train(str(path))
             return cls(path.read_bytes())
@@ -77,11 +77,16 @@ class Tagger:
         return tags, self._tagger.probability(tags)
 
 
+def _progress(what: str, steps: int) -> tqdm[NoReturn]:
+    """Returns a progress bar, which only a terminal shows."""
+    return tqdm(total=steps, desc=what, disable=None, leave=False)
+
+
 _WIDTH = 48
 _BATCH = 512
 _RATE = 0.012
 _LEFT_OUT = 0.4
-EPOCHS = 10
+_EPOCHS = 10
 _MAX_FEATURES = 16_000  # keeps the features that the most sentences have
 
 
@@ -130,41 +135,33 @@ class IntentNet(nn.Module):
         return self.heads(hidden).split([n_acts, n_slots, n_slots], -1)
 
 
-def train_intents(
-    sentences: Sequence[Sequence[str]],
-    acts: Sequence[int],
-    requests: torch.Tensor,
-    dont_care: torch.Tensor,
-    names: tuple[Sequence[str], Sequence[str]],
-    *,
-    seed: int,
-    tick: Callable[[], object] = bool,
+def _fitted_net(
+    examples: Sequence[Example], features: Features, domain: Domain, seed: int
 ) -> IntentNet:
-    """Returns a net fitted to sentences.
-
-    Args:
-        sentences: the features of each sentence.
-        acts: the act of each sentence.
-        requests: float ``[N, S + 1]``.
-        dont_care: float ``[N, S + 1]``.
-        names: the acts and the slots.
-        seed: the seed of the initial weights, the order and the dropped features.
-        tick: called after each epoch.
-    """
+    """Returns a net fitted to sentences; the seed is that of weights, order and dropout."""
+    sentences = [features.of_sentence(e.words, e.tags, e.question) for e in examples]
+    slots, acts = domain.slots, (*domain.acts, FOREIGN.act)
+    target = torch.tensor([acts.index(example.frame.act) for example in examples])
+    requests, dont_care = torch.zeros(2, len(examples), len(slots) + 1)
+    for row, example in enumerate(examples):
+        frame, asked = example.frame, asked_slot(example.question)
+        for flags, named in ((requests, frame.requests), (dont_care, frame.dont_care)):
+            for slot in named:
+                # "Any" means the slot asked for; "any city" means the city whatever was asked.
+                flags[row, len(slots) if slot == asked else slots.index(slot)] = 1.0
     count = Counter(chain.from_iterable(map(set, sentences)))
     ranked = sorted(
         (item for item in count.items() if item[1] > 1), key=lambda item: (-item[1], item[0])
     )
-    with torch.random.fork_rng(devices=[]):
+    with torch.random.fork_rng(devices=[]), _progress("learning acts", _EPOCHS) as bar:
         torch.manual_seed(seed)
-        net = IntentNet([name for name, _ in ranked[:_MAX_FEATURES]], *names)
+        net = IntentNet([name for name, _ in ranked[:_MAX_FEATURES]], acts, slots)
         flat, sizes = net.encode(sentences)
         starts = sizes.cumsum(0) - sizes
-        target = torch.tensor(acts)
         optimizer = torch.optim.Adam(net.parameters(), lr=_RATE, fused=True)
-        steps = EPOCHS * (-(-len(sizes) // _BATCH))
+        steps = _EPOCHS * (-(-len(sizes) // _BATCH))
         schedule = torch.optim.lr_scheduler.LinearLR(optimizer, 1.0, 0.05, steps)
-        for _ in range(EPOCHS):
+        for _ in range(_EPOCHS):
             for rows in torch.randperm(len(sizes)).split(_BATCH):
                 own = sizes[rows]
                 shift = starts[rows] - own.cumsum(0) + own
@@ -182,7 +179,7 @@ def train_intents(
                 loss.backward()
                 optimizer.step()
                 schedule.step()
-            tick()
+            bar.update()
         net.bag.weight.data = net.bag.weight.data.half().float()
     return net.eval()
 
@@ -254,7 +251,6 @@ def fit(
     *,
     seed: int,
     steps: int,
-    tick: Callable[[], object] = bool,
 ) -> Model:
     """Returns a model fitted to sentences; equal arguments give bit-identical models.
 
@@ -265,9 +261,7 @@ def fit(
         foreign: the same, but out of domain; the tagger tags them.
         seed: the seed of the net.
         steps: the maximum number of steps of the tagger's optimizer.
-        tick: called after each of these steps, and after each epoch of the net.
     """
-    domain = lexicon.domain
     words = Counter(
         w for e in examples for w, t in zip(e.words, e.tags, strict=True) if t == OUTSIDE
     )
@@ -275,32 +269,11 @@ def fit(
     features = Features(lexicon, known)
     # "Friday or Saturday" informs neither, but must not teach that these are not names.
     named = [e for e in examples if e.frame != Frame("inform") or {*e.tags} != {OUTSIDE}]
-    tagger = Tagger.train(
-        [features.of_words(e.words, e.question) for e in named],
-        [e.tags for e in named],
-        steps,
-        tick,
-    )
-    slots, acts = domain.slots, (*domain.acts, FOREIGN.act)
+    rows = [features.of_words(e.words, e.question) for e in named]
+    tagger = Tagger.train(rows, [e.tags for e in named], steps)
     examples = [*examples, *simulated]
     for example in foreign:  # their unknown words are not names, but may be taken for one
         tags, _ = tagger(features.of_words(example.words, example.question))
         examples.append(replace(example, tags=tags))
-    requests = torch.zeros(len(examples), len(slots) + 1)
-    dont_care = torch.zeros(len(examples), len(slots) + 1)
-    for row, example in enumerate(examples):
-        frame, asked = example.frame, asked_slot(example.question)
-        for target, own in ((requests, frame.requests), (dont_care, frame.dont_care)):
-            for slot in own:
-                # "Any" means the slot asked for; "any city" means the city whatever was asked.
-                target[row, len(slots) if slot == asked else slots.index(slot)] = 1.0
-    net = train_intents(
-        [features.of_sentence(e.words, e.tags, e.question) for e in examples],
-        [acts.index(e.frame.act) for e in examples],
-        requests,
-        dont_care,
-        (acts, slots),
-        seed=seed,
-        tick=tick,
-    )
+    net = _fitted_net(examples, features, lexicon.domain, seed)
     return Model(features, tagger, net)

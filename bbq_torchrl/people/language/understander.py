@@ -15,13 +15,12 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from tqdm import tqdm
 
 from bbq_torchrl.people.language.asking import FOREIGN, OPENING, Understood
 from bbq_torchrl.people.language.assembly import assemble
 from bbq_torchrl.people.language.corpus import make_examples, spoiled
 from bbq_torchrl.people.language.lexicon import Lexicon
-from bbq_torchrl.people.language.model import EPOCHS, IntentNet, Model, Tagger, fit
+from bbq_torchrl.people.language.model import IntentNet, Model, Tagger, fit
 from bbq_torchrl.people.language.paraphrase import Paraphraser
 from bbq_torchrl.people.language.phrases import LANGUAGE_FILE
 from bbq_torchrl.people.language.sentence_features import Features
@@ -53,9 +52,6 @@ THRESHOLD = 0.75
 """The confidence below which to ask again: .8 of the held-out sentences are above it."""
 
 _STEPS = 40  # of the tagger's optimizer
-
-TICKS = _STEPS + EPOCHS
-"""The maximum number of steps of learning."""
 
 _MAX_WORDS = 120
 _CALM = 0.3  # of noise: the grammar's sentences are more crowded than people's
@@ -105,11 +101,11 @@ class Understander:
         sentences: int = SENTENCES,
         seed: int = 0,
         labeled: Sequence[Line] = (),
-        tick: Callable[[], object] = bool,
     ) -> Understander:
         """Returns an understander trained on sentences of the domain's grammar.
 
-        Equal arguments give bit-identical results. Torch runs on one thread during training.
+        Equal arguments give bit-identical results. Torch runs on one thread during training. A
+        terminal shows progress bars.
 
         Args:
             domain: the domain. Its folder may have a ``language.yaml`` and people's labeled lines,
@@ -121,7 +117,6 @@ class Understander:
                 sentences are four times as many, most of them for the net alone.
             seed: the seed of the sentences and of the net's initial weights.
             labeled: people's labeled lines, learned like ``learned.txt``.
-            tick: called after each step of learning, at most :data:`TICKS` times.
 
         Raises:
             ValueError: if there are no sentences to learn from.
@@ -150,7 +145,7 @@ class Understander:
             others += varied(some, lexicon, paraphrase, 1, seed)[len(some) :]
             examples = [*grammar, *spoiled(others, seed), *played[::_TAGGED]]
             foreign = make_foreign(lexicon, grammar, sentences // _FOREIGN, seed)
-            model = fit(lexicon, examples, played, foreign, seed=seed, steps=_STEPS, tick=tick)
+            model = fit(lexicon, examples, played, foreign, seed=seed, steps=_STEPS)
             found = cls(lexicon, model)
             found._temperature = found._fitted_temperature(unlearned)
         finally:
@@ -287,8 +282,7 @@ def cached_understander(
     Args:
         domain: the domain, with its phrases in its folder; otherwise with the generic phrases.
         labeled: the user's labeled lines, to learn from as well.
-        tell: called with a message when training begins, which takes a minute; a terminal shows a
-            progress bar.
+        tell: called with a message when training begins, which takes a minute.
 
     Raises:
         ValueError or OSError: a file that cannot be used.
@@ -300,8 +294,7 @@ def cached_understander(
         _make_private(file.parent)
         return Understander.load(file, domain)
     tell("Learning the language of the domain, once; it takes about a minute ...")
-    with tqdm(total=TICKS, desc="learning", disable=None, leave=False) as bar:  # on a terminal
-        own = Understander.train(domain, labeled=lines, tick=bar.update)
+    own = Understander.train(domain, labeled=lines)
     with suppress(OSError):  # without a cache folder it is trained each time
         _make_private(file.parent)
         own.save(file)

@@ -109,31 +109,8 @@ def compact(text: str) -> str:
 
 
 _YES, _NO, _BESIDE = (word_set(name) for name in ("yes_words", "no_words", "beside_yes_and_no"))
-_PLAIN_YES = word_set("plain_yes")
 POLITE = _YES | _NO | _BESIDE | word_set("polite")
 """Words of agreement and thanks, which name no value by themselves."""
-
-
-def is_yes(text: str) -> bool:
-    """Returns whether a text is a plain yes.
-
-    Examples:
-        >>> [is_yes(text) for text in ("Yes, that's right!", "yes but at 7", "not right")]
-        [True, False, False]
-    """
-    words = set(tokenize(text))
-    return bool(words & _YES) and words <= _YES | _BESIDE
-
-
-def has_yes(text: str) -> bool:
-    """Returns whether a text says yes among other words, but not no.
-
-    Examples:
-        >>> [has_yes(text) for text in ("wonderful, yes please", "yes, not at 7", "I am sure")]
-        [True, False, False]
-    """
-    words = set(tokenize(text))
-    return not words.isdisjoint(_PLAIN_YES) and words.isdisjoint(_NO)
 
 
 def is_no(text: str) -> bool:
