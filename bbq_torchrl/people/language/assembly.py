@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import torch
 
@@ -161,36 +161,6 @@ def is_denied(words: Sequence[str], start: int, end: int) -> bool:
     )
 
 
-class _Mention(NamedTuple):
-    """Words that name a value of a slot, and the values that they may mean."""
-
-    text: str
-    link: Link
-    is_denied: bool
-
-
-def _mentions(
-    words: Sequence[str], spans: Sequence[Span], lexicon: Lexicon
-) -> dict[str, list[_Mention]]:
-    """Returns the mentions of each slot, in the order of the sentence."""
-    found: dict[str, list[_Mention]] = {}
-    for slot, start, end in spans:
-        text = " ".join(words[start:end])
-        is_date = lexicon.kinds[slot] == "date" and not re.search(r"\d", text)
-        if is_date and not lexicon.link(slot, text).values:  # "zootopia tomorrow"
-            for part in lexicon.full_names(words[start:end], slot)[:1]:
-                start, end = start + part.start, start + part.end
-            text = " ".join(words[start:end])
-        if lexicon.kinds[slot] == "count" and words[max(start - 1, 0)] == "at":
-            slot = lexicon.only_slot(f"at {text}") or slot  # no number of people
-        elif lexicon.link(slot, text).score < 1.0:
-            # A name in full is of its slot whatever was tagged.
-            slot = lexicon.only_slot(text) or slot
-        denied = is_denied(words, start, end)
-        found.setdefault(slot, []).append(_Mention(text, lexicon.link(slot, text), denied))
-    return found
-
-
 def values_of(
     words: Sequence[str], spans: Sequence[Span], lexicon: Lexicon
 ) -> tuple[dict[str, str], tuple[Unclear, ...]]:
@@ -201,22 +171,42 @@ def values_of(
         spans: the words that name values, in order.
         lexicon: the domain's values.
     """
+    wanted: dict[str, list[tuple[str, Link]]] = {}
+    denied: dict[str, str] = {}
+    for span in spans:
+        slot, start, end = _named(words, span, lexicon)
+        text, links = " ".join(words[start:end]), wanted.setdefault(slot, [])
+        if is_denied(words, start, end):
+            denied[slot] = text
+        else:
+            links.append((text, lexicon.link(slot, text)))
     informs: dict[str, str] = {}
     unclear: list[Unclear] = []
-    for slot, mentions in _mentions(words, spans, lexicon).items():
-        wanted = [mention for mention in mentions if not mention.is_denied]
-        if not wanted:
-            unclear.append(Unclear(slot, mentions[-1].text, is_denied=True))
+    for slot, links in wanted.items():
+        if not links:
+            unclear.append(Unclear(slot, denied[slot], is_denied=True))
             continue
-        known = [mention.link for mention in wanted if mention.link.values]
+        known = [link for _, link in links if link.values]
         if "or" not in words:
             known = known[-1:]  # "Friday, no wait, Saturday"
         keys = {lexicon.key(slot, value): value for link in known for value in link.values}
         if len(keys) == 1:
             (informs[slot],) = keys.values()
         else:
-            unclear.append(Unclear(slot, wanted[-1].text, tuple(keys.values())))
+            unclear.append(Unclear(slot, links[-1][0], tuple(keys.values())))
     return informs, tuple(unclear)
+
+
+def _named(words: Sequence[str], span: Span, lexicon: Lexicon) -> Span:
+    """Returns a span with the slot that its words name in full, whatever was tagged."""
+    slot, start, end = span
+    text = " ".join(words[start:end])
+    link = lexicon.link(slot, text)
+    is_date = lexicon.kinds[slot] == "date" and not re.search(r"\d", text)
+    if is_date and not link.values:  # "zootopia tomorrow"
+        for part in lexicon.full_names(words[start:end], slot)[:1]:
+            return Span(slot, start + part.start, start + part.end)
+    return span if link.score == 1.0 else Span(lexicon.only_slot(text) or slot, start, end)
 
 
 def _allowed(

@@ -56,7 +56,7 @@ class Composer:
     def __init__(self, lexicon: Lexicon, *, simulated: bool = False) -> None:
         self._domain, self._phrases = lexicon.domain, lexicon.phrases
         self._owners = lexicon.owners if simulated else {}
-        self._rules = {**self._phrases.rules, "thing": self._phrases.user["thing"]}
+        self._rules = self._phrases.rules
 
     def compose(
         self,
@@ -103,7 +103,7 @@ class Composer:
         said = _join(parts, rng, [". "] if is_clear else _MARKS)
         if self._owners or turn.is_terse:
             return said  # Simulated users, the only ones with owners, make no side remarks.
-        aside = partial(choose, self._rules["aside"], {}, self._rules, rng)
+        aside = partial(choose, self._rules["<aside>"], {}, self._rules, rng)
         if rng.random() < _ASIDES:
             said = [*aside(), Piece(rng.choice(_AFTER_ASIDE)), *said]
         if rng.random() < _ASIDES:
@@ -267,7 +267,7 @@ class Composer:
         possible = [option for option in options if is_possible(option, left, self._rules)]
         if turn.left and values is None:
             # Few phrases name a value themselves; most do not need one.
-            richer = [t for t in possible if any(kind == "slot" for kind, _ in t.names())]
+            richer = [t for t in possible if any(name[:1] != "<" for name in t.names())]
             if richer and turn.rng.random() < 0.4:
                 possible = richer
         pieces = expand(turn.rng.choice(possible), left, self._rules, turn.rng)

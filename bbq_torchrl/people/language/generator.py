@@ -7,7 +7,7 @@ import math
 import random
 import re
 from itertools import combinations
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains import fold
 from bbq_torchrl.domains.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Frame
@@ -143,10 +143,12 @@ class Generator:
         rng = chance(session, turn, "agent")
         told = {slot: value for slot, value in frame.informs.items() if value != ANY}
         complete = self._domain.complete_slot
-        parts = []
         if frame.choices:
-            parts.append(self._choose(frame.requests[0], frame.choices, rng))
-        elif complete in told:
+            return self.say(
+                "choose", frame.requests, choices=frame.choices, session=session, turn=turn
+            )
+        parts = []
+        if complete in told:
             wishes = {slot: value for slot, value in told.items() if slot != complete}
             parts.append(self._tell(complete, told[complete], {**(kept or {}), **wishes}, rng))
         else:
@@ -169,15 +171,14 @@ class Generator:
             session: determines the words, with ``turn``.
             turn: the number of the turn in the session.
         """
-        rng = chance(session, turn, "agent")
+        words: dict[str, Any] = {"session": session, "turn": turn}
         if not understood.unclear:
-            return sentence(self._fill(self._phrases.agent["again"], rng))
+            return self.say("again", **words)
         unclear = understood.unclear[0]
         if unclear.candidates:
-            return sentence(self._choose(unclear.slot, unclear.candidates, rng))
-        words = {"<words>": [Piece(unclear.text)]}
+            return self.say("choose", [unclear.slot], choices=unclear.candidates, **words)
         use = "denied" if unclear.is_denied else "unknown"
-        return sentence(self._fill(self._phrases.agent[use], rng, unclear.slot, words))
+        return self.say(use, [unclear.slot], typed=unclear.text, **words)
 
     def say(
         self,
@@ -187,6 +188,7 @@ class Generator:
         values: Mapping[str, str] | None = None,
         other: Mapping[str, str] | None = None,
         choices: Sequence[str] = (),
+        typed: str = "",
         session: str | int = 0,
         turn: int = 0,
     ) -> str:
@@ -198,27 +200,24 @@ class Generator:
             values: slot to value, of ``<wishes>``.
             other: slot to value, of ``<other>``.
             choices: values of the first slot, of ``<choices>``.
+            typed: the user's words, of ``<words>``.
             session: determines the words, with ``turn``.
             turn: the number of the turn in the session.
         """
         rng = chance(session, turn, "agent")
         said = {
             "<name>": [Piece(listed([self._phrases.slots[slot].name for slot in slots], "and"))],
-            "<choices>": [
-                Piece(self._choices(slots[0], choices) if slots else listed(choices, "or"))
-            ],
+            "<choices>": [Piece(self._choices(slots, choices))],
+            "<words>": [Piece(typed)],
             "<wishes>": self._wishes(values or {}, rng),
             "<other>": self._wishes(other or {}, rng),
         }
         return _polished(sentence(self._fill(self._phrases.agent[use], rng, None, said)))
 
-    def _choose(self, slot: str, choices: Sequence[str], rng: random.Random) -> list[Piece]:
-        said = {"<choices>": [Piece(self._choices(slot, choices))]}
-        return self._fill(self._phrases.agent["choose"], rng, slot, said)
-
-    def _choices(self, slot: str, choices: Sequence[str]) -> str:
-        """Returns the first choices in words, and how many more there are."""
-        written = [self._written(slot, value) for value in choices[:_MAX_CHOICES]]
+    def _choices(self, slots: Sequence[str], choices: Sequence[str]) -> str:
+        """Returns the first choices, of the first slot if any, and how many more there are."""
+        first = choices[:_MAX_CHOICES]
+        written = [self._written(slots[0], value) for value in first] if slots else first
         more = len(choices) - len(written)
         return listed([*written, f"one of {more} others"] if more > 1 else written, "or")
 

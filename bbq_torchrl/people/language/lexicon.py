@@ -176,9 +176,9 @@ class Lexicon:
         if (key := self._names[slot].get(name)) is not None:
             return Link((self._spelled[slot][key],), 1.0)
         if kind != "text":
-            if (found := self._quantity(slot, kind, text)) is not None:
-                return found
-            if READERS[kind](text) is not None or any(letter.isdigit() for letter in name):
+            if (read := READERS[kind](text)) is not None:
+                return self._quantity(slot, read)
+            if any(letter.isdigit() for letter in name):
                 return Link((), 0.0)
         article, _, rest = fold(text).partition(" ")
         if article == "the" and compact(rest) in self._names[slot]:
@@ -244,32 +244,25 @@ class Lexicon:
                 left[at.start : at.stop] = [""] * len(at)
         return found
 
-    def _quantity(self, slot: str, kind: Kind, text: str) -> Link | None:
-        read = READERS[kind](text)
-        if read is None:
-            return None
-        known = self._spelled[slot]
-        tries = [read.rstrip("?")]
-        if kind == "time":
-            relation, clock = tries[0].split()
-            hour, minute = clock.split(":")
+    def _quantity(self, slot: str, read: str) -> Link:
+        """Returns the value of a quantity's key, or else of one that is nearly the same."""
+        known, key = self._spelled[slot], read.rstrip("?")
+        head, _, part = key.rpartition(" ")
+        keys = [key]
+        if self.kinds[slot] == "time":
             if read.endswith("?"):
-                tries.append(f"{relation} {(int(hour) + 12) % 24:02}:{minute}")
-            if relation == "around":
-                tries += [f"at {t.split()[1]}" for t in tries]
-        if kind == "date" and " " in tries[0]:
-            head, _, part = tries[0].rpartition(" ")
-            if part in ("morning", "afternoon", "evening", "night", "noon"):
-                other = {"evening": "night", "night": "evening"}.get(part)
-                tries += [f"{head} {other}"] if other else []
-                tries.append(head)
-        if kind == "date" and tries[0].startswith("day "):  # "the 12th" of the only month with one
-            days = [key for key in known if key.endswith(f"/{tries[0][4:]}")]
-            tries += days if len(days) == 1 else []
-        for score, key in zip((1.0, 0.9, 0.85, 0.8, 0.8), tries, strict=False):
-            if key in known:
-                return Link((known[key],), score)
-        return None
+                hour, minute = part.split(":")
+                keys.append(f"{head} {(int(hour) + 12) % 24:02}:{minute}")
+            if head == "around":
+                keys += [key.replace("around", "at") for key in keys]
+        elif part in ("morning", "afternoon", "evening", "night", "noon") and head:
+            other = {"evening": "night", "night": "evening"}.get(part, part)
+            keys += [f"{head} {other}", head]
+        elif head == "day":  # "the 12th" of the only month with one
+            days = [key for key in known if key.endswith(f"/{part}")]
+            keys += days if len(days) == 1 else []
+        found = next((key for key in keys if key in known), None)
+        return Link((), 0.0) if found is None else Link((known[found],), 1.0 - 0.1 * (found != key))
 
     def _nearest(self, slot: str, text: str) -> Link:
         """Returns the values whose names share the most informative words, allowing for typos."""

@@ -13,10 +13,10 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from functools import cache, cached_property
+from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import yaml
 
@@ -48,13 +48,9 @@ class Piece(NamedTuple):
 
 @dataclass(frozen=True)
 class _Name:
-    kind: Literal["slot", "rule"]
-    name: str
+    """A slot, or a rule in angle brackets: its key in the values of a sentence."""
 
-    @cached_property
-    def key(self) -> str:
-        """Its key in the values of a sentence."""
-        return self.name if self.kind == "slot" else f"<{self.name}>"
+    key: str
 
 
 @dataclass(frozen=True)
@@ -67,14 +63,14 @@ class Template:
 
     parts: tuple[_Part, ...]
 
-    def names(self) -> Iterator[tuple[str, str]]:
-        """Yields ``("slot", name)`` and ``("rule", name)`` for every name in the phrase."""
+    def names(self) -> Iterator[str]:
+        """Yields every slot ``city`` and every rule ``<please>`` that the phrase names."""
         for part in self.parts:
-            if isinstance(part, tuple):
+            if isinstance(part, _Name):
+                yield part.key
+            elif not isinstance(part, str):
                 for option in part:
                     yield from option.names()
-            elif isinstance(part, _Name):
-                yield part.kind, part.name
 
 
 _Part = str | _Name | tuple[Template, ...]
@@ -106,8 +102,7 @@ def parse(text: str, own: str = "") -> Template:
             elif token == "]" and depth:
                 break
             elif len(token) > 1 and token[0] in "{<":
-                is_slot = token[0] == "{"
-                parts.append(_Name("slot" if is_slot else "rule", token[1:-1] or own))
+                parts.append(_Name(token if token[0] == "<" else token[1:-1] or own))
             elif token in "]{}<>":
                 raise fault
             else:
@@ -141,9 +136,7 @@ def _options_of(
     part: _Name | tuple[Template, ...], rules: Mapping[str, Sequence[Template]]
 ) -> Sequence[Template]:
     """Returns the phrases that may stand for a part without a value."""
-    if isinstance(part, tuple):
-        return part
-    return rules.get(part.name, ()) if part.kind == "rule" else ()
+    return rules.get(part.key, ()) if isinstance(part, _Name) else part
 
 
 def expand(
@@ -157,7 +150,7 @@ def expand(
     Args:
         template: the phrase; it must be possible.
         values: the pieces of slots by name, and of rules by ``<name>``.
-        rules: the phrases of each rule.
+        rules: the phrases of each rule, by ``<name>``.
         rng: the random number generator.
     """
     pieces: list[Piece] = []
@@ -243,7 +236,7 @@ class Phrases:
     """All phrases of a domain, parsed.
 
     Attributes:
-        rules: the phrases by rule name.
+        rules: the phrases by rule, ``<name>``.
         user: the users' phrases by act or use.
         agent: the agents' phrases by act or use.
         slots: the phrases of each slot.
@@ -317,23 +310,24 @@ class _Reader:
         slots = {
             slot: self._slot(slot, given.get(slot, {}), generic) for slot in self._domain.slots
         }
+        rules = {f"<{name}>": texts for name, texts in read["rules"].items()}
+        rules["<thing>"] = read["user"]["thing"]
         named = {
-            rule: [name for text in texts for kind, name in text.names() if kind == "rule"]
-            for rule, texts in {**read["rules"], "thing": read["user"]["thing"]}.items()
+            rule: [name for text in texts for name in text.names() if name in rules]
+            for rule, texts in rules.items()
         }
         try:
             TopologicalSorter(named).prepare()
         except CycleError as error:
-            circle = " -> ".join(reversed(error.args[1]))
+            circle = " -> ".join(name.strip("<>") for name in reversed(error.args[1]))
             self.faults.append(f"rules must not name each other in a circle, got {circle}")
-        phrases = Phrases(read["rules"], read["user"], read["agent"], slots)
+        phrases = Phrases(rules, read["user"], read["agent"], slots)
         if not self.faults:
             self._check_values(phrases)
         return phrases
 
     def _check_values(self, phrases: Phrases) -> None:
         """Adds a fault for each list whose phrases all need values that may be missing."""
-        rules = {**phrases.rules, "thing": phrases.user["thing"]}
         lists = {f"user.{key}": ("", texts) for key, texts in phrases.user.items()}
         lists |= {f"agent.{key}": ("", texts) for key, texts in phrases.agent.items()}
         del lists["user.open"]  # without a value, clauses with the others take its place
@@ -341,7 +335,7 @@ class _Reader:
             lists |= {f"slots.{slot}.{key}": (slot, texts) for key, texts in entry.phrases.items()}
         for where, (own, texts) in lists.items():
             values = dict.fromkeys((own, "q", *(f"<{rule}>" for rule in _DERIVED)), ())
-            if not any(is_possible(text, values, rules) for text in texts):
+            if not any(is_possible(text, values, phrases.rules) for text in texts):
                 self.faults.append(f"{where} must have a phrase without the value of another slot")
 
     def _slot(self, slot: str, content: Any, generic: dict[str, Any]) -> SlotPhrases:
@@ -401,11 +395,11 @@ class _Reader:
                 templates.append(parse(text, own))
             except TemplateError as error:
                 self.faults.append(f"{where}: {error}")
-        for kind, name in dict.fromkeys(item for text in templates for item in text.names()):
-            known = self._domain.slots if kind == "slot" else self._rules
-            if name not in (*known, "", "q"):
+        for name in dict.fromkeys(name for text in templates for name in text.names()):
+            kind, known = ("rule", self._rules) if name[:1] == "<" else ("slot", self._domain.slots)
+            if name.strip("<>") not in (*known, "", "q"):
                 self.faults.append(
-                    f"{where} names the unknown {kind} {shown(name)}; the {kind}s are "
+                    f"{where} names the unknown {kind} {shown(name.strip('<>'))}; the {kind}s are "
                     f"{', '.join(known)}"
                 )
         return tuple(templates)
