@@ -3,6 +3,7 @@
 import json
 import math
 import os
+import shutil
 import signal
 import time
 from argparse import Namespace
@@ -112,16 +113,13 @@ def test_a_killed_bench_continues(made, tmp_path):
     assert content(tmp_path) == content(made[0])
 
 
-def test_a_cell_that_fails_is_named_and_leaves_the_others_alone(tmp_path, monkeypatch):
-    real = train.run
-
+def test_a_cell_that_fails_is_named_and_leaves_the_others_alone(made, tmp_path, monkeypatch):
     def trained(config, folder):
         with (tmp_path / "trained").open("a") as file:
             file.write(f"{folder.name} ")
-        if folder.name.startswith("wild"):
-            raise torch.linalg.LinAlgError("the matrix is singular")
-        return real(config, folder)
+        raise torch.linalg.LinAlgError("the matrix is singular")
 
+    shutil.copytree(made[0] / "made", tmp_path / "made")
     monkeypatch.setattr(train, "run", trained)
     agents = ("wild: agent=dqn", "wilder: agent=dqn", "dqn")
     for times in range(2):
@@ -132,7 +130,7 @@ def test_a_cell_that_fails_is_named_and_leaves_the_others_alone(tmp_path, monkey
         assert "| dqn |" in page
         assert "| wild |" not in page
         # Nothing is tried again but what is told to be.
-        done = ["wild", "wilder", "dqn", "wilder"][: 3 + times]
+        done = ["wild", "wilder", "wilder"][: 2 + times]
         assert (tmp_path / "trained").read_text().split() == done
         (tmp_path / "made" / "hotel" / "errors_0.1" / "wilder" / "failed.txt").unlink()
 
@@ -164,7 +162,7 @@ def test_goals_are_played_as_often_as_an_evaluation_plays_them(monkeypatch, tmp_
     played = {key: np.array(value) for key, value in bench.goal_plays(cell).items()}
     assert played["plays"].shape == (2, len(domain.goals))
     assert (played["plays"].sum(-1) == bench.PLAYS * len(domain.goals)).all()
-    known = evaluation(composed(["policy=careful", "domain=hotel"]))
+    known = evaluation(composed(["policy=careful", "domain=hotel", "dialogues=4000"]))
     found = pass_k(played["successes"].sum(0), played["plays"].sum(0), 1)
     error = binomial_standard_error(known["success_rate"], int(played["plays"].sum()))
     assert abs(found - known["success_rate"]) < 4 * math.hypot(error, known["standard_error"])

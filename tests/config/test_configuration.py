@@ -102,7 +102,7 @@ def test_an_experiment_of_a_folder_decides_over_groups_and_keys(tmp_path, monkey
 
 def test_a_list_is_shared_out_among_the_replicas(tmp_path):
     command = ["replicas=4", "explore=thompson_epsilon", "agent.prior_std=[.05,.1,.2,.4]"]
-    config = compose([*command, "explore.eps_init=[.2,.5]", "agent.lr=.01"])
+    config = composed(*command, "explore.eps_init=[.2,.5]", "agent.lr=.01")
     assert replica_values(config) == [
         {"agent.prior_std": 0.05, "explore.eps_init": 0.2},
         {"agent.prior_std": 0.1, "explore.eps_init": 0.2},
@@ -111,14 +111,14 @@ def test_a_list_is_shared_out_among_the_replicas(tmp_path):
     ]
     save_config(config, tmp_path / "config.yaml")
     assert load_config(tmp_path / "config.yaml") == config
-    assert replica_values(compose(["replicas=2"])) == [{}, {}]
+    assert replica_values(composed("replicas=2")) == [{}, {}]
 
 
 def test_the_edges_of_what_fits_together_are_composed():
-    assert compose(["agent=gp", "protocol.capacity=512"]).protocol.capacity == 512
-    assert compose(["protocol=quick", "agent=gp"]).protocol.capacity == 40_000
-    compose(["protocol.capacity=32", "explore.temperature_end=.7"])
-    compose(["agent=bootstrap", "agent.trunk_layers=2", "replicas=4", "agent.lr=[.1,.2]"])
+    assert composed("agent=gp", "protocol.capacity=512").protocol.capacity == 512
+    assert composed("protocol=quick", "agent=gp").protocol.capacity == 40_000
+    composed("protocol.capacity=32", "explore.temperature_end=.7")
+    composed("agent=bootstrap", "agent.trunk_layers=2", "replicas=4", "agent.lr=[.1,.2]")
 
 
 def sweeps(folder):
@@ -143,6 +143,7 @@ def test_every_cell_of_table1_has_a_recipe(setting, env, rounds):
     assert all(0 < rate < 1 for rate, _ in PAPER[env].values())
 
 
+@pytest.mark.slow
 def test_every_ablation_changes_one_key_of_the_reference():
     reference = asdict(compose(["+experiment=ablations/reference"]))
     last = {name: overrides for name, overrides in sweeps("ablations") if overrides}

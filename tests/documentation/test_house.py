@@ -67,7 +67,9 @@ import builtins, sys
 sys.modules.update(dict.fromkeys(("pycrfsuite", "rapidfuzz", "httpx")))  # as if not installed
 import bbq_torchrl.options
 bbq_torchrl.options.schemas()
-assert "torch" not in sys.modules, "options load torch"
+import bbq_torchrl.people.study.outcomes, bbq_torchrl.people.study.report
+loaded = {"torch", "starlette", "jinja2", "uvicorn"} & set(sys.modules)
+assert not loaded, f"options or a study's report load {loaded}"
 import bbq_torchrl.domains, bbq_torchrl.simulator
 assert "torchrl" not in sys.modules, "domains or simulator load torchrl"
 for name in [name for name in sys.modules if name.startswith("bbq_torchrl")]:

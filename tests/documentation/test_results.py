@@ -85,6 +85,7 @@ def test_claims_are_judged_by_what_is_there(kept):
     assert "| Table 1, full domain | 2 | 0 | 0 |" in BLOCKS["results.claims"]()
 
 
+@pytest.mark.slow
 def test_every_measurement_of_a_policy_is_a_command(tmp_path):
     for overrides in {*measure_policies.MEASUREMENTS.values()}:
         given = overrides.replace(measure_policies.PLACE, str(tmp_path)).split()

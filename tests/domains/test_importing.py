@@ -62,7 +62,7 @@ def imported(tmp_path, capsys):
 
 def played(domain, policy):
     env = DialogueEnv(domain, batch_size=(1, 500), slot_error_prob=0.0, seed=0)
-    return evaluate(env, scripted_policy(policy, env), 1000, seed=1).success.double().mean().item()
+    return evaluate(env, scripted_policy(policy, env), 500, seed=1).success.double().mean().item()
 
 
 def test_a_corpus_of_taxis_is_imported_plays_and_trains(imported, tmp_path):

@@ -39,7 +39,7 @@ def test_a_domain_is_as_hard_for_the_rule_as_the_movies(name):
 @pytest.mark.parametrize("name", nightly(NAMES, ["hotel"]))
 def test_policies_that_know_more_succeed_more_often(name):
     order = ("random", "rule", "careful", "repair", "clairvoyant")
-    rates = [success(name, policy, "dialogues=1000")[0] for policy in order]
+    rates = [success(name, policy, "dialogues=500")[0] for policy in order]
     assert rates == sorted(rates)
     assert rates[0] < 0.05
     assert rates[-1] > 0.98
@@ -71,6 +71,7 @@ def records_for(domain, goal):
     return [row for row in folded if wanted.items() <= row.items()]
 
 
+@pytest.mark.slow
 def test_the_shipped_files_are_what_the_script_writes(tmp_path):
     runpy.run_path(str(SCRIPT))["write_corpus"](tmp_path)
     for name in (RECORDS_FILE, GOALS_FILE, VALUES_FILE):

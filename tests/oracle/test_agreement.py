@@ -102,7 +102,7 @@ def test_the_simulator_agrees_with_the_oracle_on_restaurants(restaurant):
 
 
 def test_the_simulator_agrees_with_the_oracle_where_goals_and_errors_are_odd():
-    assert_at_work(RARE_RULES, play(many_wishes(), 120, seed=400))
+    assert_at_work(RARE_RULES, play(many_wishes(), 80, seed=400))
 
 
 @pytest.mark.slow

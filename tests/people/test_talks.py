@@ -39,7 +39,7 @@ def talks(agents, mouth, spelling):
     partner = Partner(agents["bbqn"], ears, mouth, spelling)
     goals = [goal for goal in spelling.domain.goals if judge.is_attainable(goal)]
 
-    def talks(kind, change=lambda frame: frame, count=3):
+    def talks(kind, change=lambda frame: frame, count=2):
         fit = [goal for goal in goals if suits(kind, goal)]
         for seed, goal in enumerate(fit[:: len(fit) // count]):
             ears.person, ears.change = Person(kind, goal, spelling.domain, seed, {}), change

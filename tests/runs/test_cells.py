@@ -48,7 +48,7 @@ DAILY = (  # each agent, environment and reward; each strategy trains in some ot
     "bbqn-thompson_boltzmann-domain_ext-none",
     "bootstrap-bootstrap-full-none",
     "dqn-epsilon_greedy-domain_ext-vime",
-    "gp-thompson-domain_ext-vime",
+    "gp-greedy-domain_ext-none",
 )
 
 pytestmark = pytest.mark.usefixtures("without_curves")

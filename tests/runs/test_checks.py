@@ -11,7 +11,7 @@ from tiny import TINY, composed
 
 from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation.run_result import read_result
-from bbq_torchrl.runs import final
+from bbq_torchrl.runs import build, final
 from bbq_torchrl.runs.build import find_spike_policy, make_domain
 from bbq_torchrl.runs.train import run
 from bbq_torchrl.settings import ConfigError
@@ -53,6 +53,12 @@ def never(restaurant_folder, tmp_path):
 
 
 SHORT = [item for item in TINY if not item.startswith(("spike", "env.max_turn"))]
+
+
+@pytest.fixture(autouse=True)
+def few(monkeypatch):
+    """Scripts are tried in few dialogues."""
+    monkeypatch.setattr(build, "TRIED", 100)
 
 
 def spiking(config):

@@ -23,8 +23,6 @@ from bbq_torchrl.runs.train import main as train_main, run
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import evaluate as evaluate_policy
 
-from .trusted import SMALL
-
 TRAIN = forked.ROOT / "train.py"
 
 pytestmark = pytest.mark.usefixtures("without_curves")
@@ -116,35 +114,32 @@ class KeepReturned(Callback):
         (folder / "returned.txt").write_text(repr(job_return.return_value))
 
 
-def test_a_sweep_trains_each_agent_with_its_own_exploration_and_goes_on(tmp_path):
+def test_a_sweep_trains_each_agent_with_its_own_exploration_and_goes_on(
+    restaurant_folder, tmp_path
+):
+    shutil.copytree(restaurant_folder, tmp_path / "restaurant")
     sweep = (  # the default launcher is tested, slowly, in test_launchers.py
-        "--multirun hydra/launcher=basic agent=bbqn,dqn agent.lr=.01,-1",
-        *(*SMALL, "protocol.rounds=1"),
+        "--multirun hydra/launcher=basic agent=bbqn,gp,dqn hydra.job.chdir=true",
+        *(*TINY, "protocol.rounds=1", "domain=folder", "domain.path=restaurant"),
         "+hydra.callbacks.keep._target_=runs.test_commands.KeepReturned",
-        *(f"hydra.sweep.dir={tmp_path / 'sweep'}", "hydra.sweep.subdir=${hydra.job.num}"),
+        *("hydra.sweep.dir=sweep", "hydra.sweep.subdir=${hydra.job.num}"),
     )
     folders = [tmp_path / "sweep" / job for job in ("0", "2")]
     made = []
     for _ in range(2):  # what is finished is left as it is
         _, table = train(*sweep, cwd=tmp_path, code=1)
-        assert table.startswith("2 of 4 runs")
+        assert table.startswith("2 of 3 runs")
         results = [read_result(folder) for folder in folders]
         assert [result.explore for result in results] == ["thompson_boltzmann", "epsilon_greedy"]
+        # A job finds the domain from where the sweep began.
+        assert {result.domain for result in results} == {"restaurant"}
         returned = [float((folder / "returned.txt").read_text()) for folder in folders]
         assert returned == [result.success_rate for result in results]
         made.append([(folder / "config.yaml").stat().st_mtime_ns for folder in folders])
     assert made[0] == made[1]
-    for refused in ("1", "3"):
-        assert not (tmp_path / "sweep" / refused / "config.yaml").exists()
-        assert "agent.lr" in (tmp_path / "sweep" / refused / "train.log").read_text()
-
-
-def test_jobs_find_a_domain_from_where_the_sweep_began(restaurant_folder, tmp_path):
-    shutil.copytree(restaurant_folder, tmp_path / "restaurant")
-    sweep = "--multirun hydra/launcher=basic hydra.sweep.dir=sweep hydra.sweep.subdir=job"
-    domain = ("hydra.job.chdir=true", "domain=folder", "domain.path=restaurant")
-    train(sweep, *TINY, "protocol.rounds=1", "agent=dqn", *domain, cwd=tmp_path)
-    assert read_result(tmp_path / "sweep" / "job").domain == "restaurant"
+    refused = tmp_path / "sweep" / "1"
+    assert not (refused / "config.yaml").exists()
+    assert "protocol.capacity" in (refused / "train.log").read_text()
 
 
 def test_the_default_dtype_of_the_process_changes_nothing(tmp_path):
@@ -152,7 +147,9 @@ def test_the_default_dtype_of_the_process_changes_nothing(tmp_path):
     for dtype in ("float32", "float64"):
         torch.set_default_dtype(getattr(torch, dtype))
         try:
-            results.append(run(composed("agent=bbqn", *TINY), tmp_path / dtype))
+            results.append(
+                run(composed("agent=bbqn", *TINY, "protocol.rounds=1"), tmp_path / dtype)
+            )
             loaded = load_run(tmp_path / dtype)
             loaded.env.rollout(3, loaded.policy)
         finally:
@@ -162,7 +159,7 @@ def test_the_default_dtype_of_the_process_changes_nothing(tmp_path):
 
 def test_a_mean_q_that_no_return_can_have_is_warned_of_and_in_the_result(tmp_path):
     command = "agent=dqn agent.lr=10 replicas=2 hydra.run.dir=run"
-    train(command, *TINY, cwd=tmp_path)
+    train(command, *TINY, "protocol.rounds=1", cwd=tmp_path)
     found = read_result(tmp_path / "run").warnings
     assert len(found) == 2
     assert "agent.lr" in found[0]
@@ -190,7 +187,7 @@ def test_the_range_of_returns_is_that_of_rewards_and_discount(chosen, value, key
 
 def test_a_loss_that_is_not_finite_stops_the_run_with_its_state_saved(tmp_path):
     command = "agent.lr=1e30 replicas=2 hydra.run.dir=run"
-    _, message = train(command, *SMALL, cwd=tmp_path, code=1)
+    _, message = train(command, *TINY, cwd=tmp_path, code=1)
     assert "the loss of replicas 0, 1 is not finite in round 0: lower agent.lr; the" in message
     assert "Traceback" not in message
     assert (tmp_path / "run" / "checkpoint" / "failed-round-000000.torchrl").is_file()

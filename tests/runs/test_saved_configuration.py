@@ -7,7 +7,6 @@ import pytest
 from tiny import composed, prepared, resumed
 
 from bbq_torchrl.cli import evaluate
-from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.folders import load_config, restarted_config, save_config
 from bbq_torchrl.settings import ConfigError
 
@@ -89,7 +88,7 @@ TEXT = "[{share: .25, tells: [1, 2], insists: 1}, {share: .75, changes_mind: .5}
 
 def test_a_mix_of_the_command_line_is_that_of_the_saved_configuration(tmp_path):
     for text, value in ((TEXT, MIX), ("{tells: [1, 1]}", {"tells": [1, 1]}), ("people", "people")):
-        config = compose([f"env.users={text}"])
+        config = composed(f"env.users={text}")
         assert config.env.users == value
         save_config(config, tmp_path / "config.yaml")
         assert load_config(tmp_path / "config.yaml") == config

@@ -1,7 +1,6 @@
 """Files and functions that a training enters before its first gradient step."""
 
 import json
-import re
 
 import forked
 import pytest
@@ -56,13 +55,3 @@ def test_a_training_enters_few_files_and_functions_before_its_first_gradient_ste
     assert len(files) <= FILES, sorted(files)
     assert len(entered) <= FUNCTIONS
     assert any(file.endswith("objectives/bbqn.py") for file in files)
-
-
-def test_the_main_job_is_read_in_twenty_files():
-    page = (forked.ROOT / "docs" / "how_it_works.md").read_text(encoding="utf-8")
-    _, _, rest = page.partition("### From train.py to the gradient step\n")
-    files = re.findall(r"^\| `(\S+\.py)` \|", rest.partition("\n### ")[0], flags=re.MULTILINE)
-    lines = [(forked.ROOT / file).read_text(encoding="utf-8").count("\n") for file in files]
-    assert files[:2] == ["train.py", "bbq_torchrl/runs/train.py"]
-    assert len(files) <= 20
-    assert sum(lines) <= 3_500

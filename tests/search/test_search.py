@@ -152,7 +152,7 @@ def test_the_early_objective_counts_the_first_third_of_the_rounds_twice(tmp_path
 
 
 def test_of_choices_alone_none_is_tried_twice(tmp_path):
-    search(tmp_path, "search.pruner=none", trials=9, of="choices")
+    search(tmp_path, "search.pruner=none", trials=7, of="choices")
     tried = [(row["agent.lr"], row["explore.eps_init"]) for row in table(tmp_path)]
     assert len(tried) == len(set(tried)) == 3 * 2
 

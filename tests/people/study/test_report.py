@@ -5,7 +5,6 @@ import json
 import re
 from dataclasses import replace
 
-import forked
 import pytest
 
 from bbq_torchrl.domains.frames import Frame
@@ -173,11 +172,3 @@ def test_the_power_command_prints_what_it_found(capsys):
     first, second = capsys.readouterr().out.splitlines()
     assert first.endswith(f"{power(0.9, 0.1, 20, person_sd=1.0, simulations=100):.3f}")
     assert second.endswith("0.050")
-
-
-def test_report_and_power_need_neither_torch_nor_the_extra(tmp_path):
-    program = (
-        "import sys; from bbq_torchrl.people.study import outcomes, report; "
-        "sys.exit(bool({'torch', 'starlette', 'jinja2', 'uvicorn'} & set(sys.modules)))"
-    )
-    forked.python("-c", program, cwd=tmp_path)

@@ -123,12 +123,12 @@ def test_every_answer_has_the_security_headers_and_nothing_inline_or_of_other_ho
             assert text not in answer.text
 
 
-def test_a_hundred_enrollments_at_once_fill_the_places_and_no_more(site):
-    forms = [site.form(site.join, consent="yes") for _ in range(100)]
+def test_many_enrollments_at_once_fill_the_places_and_no_more(site):
+    forms = [site.form(site.join, consent="yes") for _ in range(40)]
     with ThreadPoolExecutor(20) as pool:
         answers = list(pool.map(lambda form: site.client.post(site.join, data=form), forms))
     counts = {status: [a.status_code for a in answers].count(status) for status in (200, 409)}
-    assert counts == {200: 5, 409: 95}
+    assert counts == {200: 5, 409: 35}
     places = site.store.rows("SELECT place FROM person ORDER BY place")
     assert places == [(place,) for place in range(5)]
 
