@@ -1,7 +1,5 @@
 """Draws of the Q-values of a policy."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from torchrl.data import Categorical

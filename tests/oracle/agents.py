@@ -1,17 +1,5 @@
 """Agents that follow a scripted policy but sometimes take another action."""
 
-from __future__ import annotations
-
-from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from random import Random
-
-    from .dialogue import Dialogue, World
-
-Policy = Callable[["Dialogue"], str]
-
 STRAYS = (1.0, 0.3, 0.1, 0.0)
 """The probabilities of another action; with the first the agent is completely random."""
 
@@ -32,7 +20,7 @@ CLOSES = 0.2
 class StrayingAgent:
     """Follows one of the domain's script or careful policies, with some other actions."""
 
-    def __init__(self, world: World, number: int, random: Random) -> None:
+    def __init__(self, world, number, random):
         self.random = random
         self.legal = [world.action_names[index] for index in world.legal_actions()]
         ticket = f"inform({world.ticket})"
@@ -47,7 +35,7 @@ class StrayingAgent:
         self.has_asked_again = False
         self.stray = STRAYS[number // len(specs) % len(STRAYS)]
 
-    def act(self, dialogue: Dialogue) -> str:
+    def act(self, dialogue):
         """Returns the name of a legal action."""
         if self.random.random() < self.stray:
             return self.random.choice(self.odd if self.random.random() < ODD else self.legal)
@@ -69,15 +57,15 @@ class StrayingAgent:
         return action if action in self.legal else self.random.choice(self.legal)
 
 
-def follow(script: Sequence[str]) -> Policy:
+def follow(script):
     """Returns an agent that plays its script whatever the user says."""
     return lambda dialogue: script[min(dialogue.turn_count // 2, len(script) - 1)]
 
 
-def careful(asked: Sequence[str]) -> Policy:
+def careful(asked):
     """Returns an agent that requests unfilled slots, answers requests, offers, and thanks."""
 
-    def act(dialogue: Dialogue) -> str:
+    def act(dialogue):
         tracker = dialogue.tracker
         if tracker.agent_act is None or tracker.agent_act == "request":
             requested = [asked.index(slot) for slot in tracker.agent_requests if slot in asked]

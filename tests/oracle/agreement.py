@@ -1,10 +1,7 @@
 """Plays the same dialogues in the tensor simulator and in the oracle, and compares every turn."""
 
-from __future__ import annotations
-
 from collections import Counter
 from random import Random
-from typing import TYPE_CHECKING, Any
 
 import torch
 
@@ -15,13 +12,6 @@ from bbq_torchrl.simulator import ErrorModel, Simulator
 from .agents import StrayingAgent
 from .dialogue import Dialogue, World
 
-if TYPE_CHECKING:
-    from tensordict import TensorDict
-
-    from bbq_torchrl.domains import Domain
-
-    from .dialogue import Setting
-
 LANES = 2
 
 
@@ -30,12 +20,12 @@ class Comparison:
 
     def __init__(
         self,
-        domain: Domain,
-        setting: Setting,
-        dialogues: int,
-        seed: int,
-        device: torch.device | str = "cpu",
-    ) -> None:
+        domain,
+        setting,
+        dialogues,
+        seed,
+        device="cpu",
+    ):
         tensors = tensorize(domain)
         errors = ErrorModel(
             tensors, setting.slot_error_prob, setting.slot_error_mode, setting.intent_error_prob
@@ -49,9 +39,9 @@ class Comparison:
         self.shape = (LANES, dialogues // LANES)
         self.generator = torch.Generator(device).manual_seed(seed)
         self.random = Random(seed)
-        self.said: list[list[str]] = [[] for _ in range(self.shape[0] * self.shape[1])]
+        self.said = [[] for _ in range(self.shape[0] * self.shape[1])]
 
-    def play(self) -> Counter[str]:
+    def play(self):
         """Plays all dialogues to their ends; raises an AssertionError at the first difference.
 
         Returns the number of times each rule applied, and the numbers of dialogues and successes.
@@ -81,7 +71,7 @@ class Comparison:
         successes = sum(dialogue.success for dialogue in dialogues)
         return self.world.fired + Counter(dialogues=len(dialogues), successes=successes)
 
-    def compare(self, dialogues: list[Dialogue], going: list[int], state: TensorDict) -> None:
+    def compare(self, dialogues, going, state):
         """Asserts that state and features of these dialogues equal the simulator's."""
         acts = state.exclude("traits")  # which the oracle draws in its own way
         got = {key: value.flatten(0, 1)[going].cpu() for key, value in acts.items()}
@@ -101,7 +91,7 @@ class Comparison:
                     f"user: {vars(dialogue.user)}\ntracker: {vars(dialogue.tracker)}"
                 )
 
-    def state_of(self, dialogue: Dialogue) -> dict[str, Any]:
+    def state_of(self, dialogue):
         """Returns state and features of an oracle's dialogue in the simulator's ids."""
         user, tracker = dialogue.user, dialogue.tracker
         act, values, marks = self.world.acts.index, self.coding.ids, self.coding.flags
@@ -132,13 +122,13 @@ class Comparison:
         }
 
 
-def rows_of(draws: TensorDict, numbers: list[int]) -> list[dict[str, Any]]:
+def rows_of(draws, numbers):
     """Returns the draws of these dialogues as plain numbers and lists."""
     columns = {key: value.flatten(0, 1)[numbers].tolist() for key, value in draws.items()}
     return [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
 
 
-def assert_ended_dialogues_stay(before: TensorDict, after: TensorDict) -> None:
+def assert_ended_dialogues_stay(before, after):
     """Asserts that an ended dialogue stays unchanged, without further reward."""
     ended = before["done"]
     for key, value in after.items(True, True):

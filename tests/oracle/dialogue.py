@@ -1,12 +1,9 @@
 """One dialogue between an agent and the user: turns, ends and rewards."""
 
-from __future__ import annotations
-
 from collections import Counter
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-from .draws import Draws, choose_index
+from .draws import choose_index
 from .features import features
 from .knowledge_base import Records
 from .noise import Noise
@@ -15,18 +12,14 @@ from .tracker import Tracker
 from .user import User
 from .values import plain
 
-if TYPE_CHECKING:
-    from bbq_torchrl.domains.domain import Action, Domain
-    from bbq_torchrl.simulator import Profile
-
 SUCCESS_REWARD = 40.0
 FAILURE_REWARD = -10.0
 TURN_REWARD = -1.0
 
 
-def value_order_of(domain: Domain) -> dict[str, list[str]]:
+def value_order_of(domain):
     """Returns every slot's values in the order of the domain's data."""
-    order: dict[str, dict[str, None]] = {slot: {} for slot in domain.slots}
+    order = {slot: {} for slot in domain.slots}
     for slot, values in domain.error_values.items():
         order[slot].update(dict.fromkeys(plain(value) for value in values))
     for row in (*domain.records, *(goal.constraints for goal in domain.goals)):
@@ -45,9 +38,9 @@ class Setting:
     max_turn: int = 40
     active: tuple[str, ...] | None = None
     extension: int | None = None
-    users: tuple[Profile, ...] = ()
+    users: tuple = ()
 
-    def active_slots(self, domain: Domain) -> list[str]:
+    def active_slots(self, domain):
         """Returns the slots active in this setting, in slot order."""
         chosen = domain.slots if self.active is None else self.active
         if self.extension is not None:
@@ -58,7 +51,7 @@ class Setting:
 class World:
     """The objects that all dialogues of a setting share."""
 
-    def __init__(self, domain: Domain, setting: Setting) -> None:
+    def __init__(self, domain, setting):
         self.domain = domain
         self.setting = setting
         self.slots = list(domain.slots)
@@ -66,12 +59,12 @@ class World:
         self.ticket, self.complete = domain.special_slots
         self.action_names = [str(action) for action in domain.actions]
         self.active = set(setting.active_slots(domain))
-        self.fired: Counter[str] = Counter()
+        self.fired = Counter()
         self.value_order = value_order_of(domain)
         self.records = Records(domain.records, domain.free_slots, self.value_order)
         self.noise = Noise(self)
 
-    def legal_actions(self) -> list[int]:
+    def legal_actions(self):
         """Returns the numbers of the slotless actions and those of active slots."""
         return [
             number
@@ -83,7 +76,7 @@ class World:
 class Dialogue:
     """One dialogue, from its first user act to its end."""
 
-    def __init__(self, world: World, draws: Draws) -> None:
+    def __init__(self, world, draws):
         goals = world.domain.goals
         self.world = world
         self.goal_number = choose_index(draws["goal"], len(goals))
@@ -97,7 +90,7 @@ class Dialogue:
         self.success = False
         self.reward = 0.0
 
-    def turn(self, action: Action, draws: Draws) -> None:
+    def turn(self, action, draws):
         """Plays one agent act and the user's answer to it."""
         if self.done:
             raise ValueError("the dialogue has ended")
@@ -122,19 +115,19 @@ class Dialogue:
         )
         self.tracker.hear(heard_act, self.user.informs, self.user.pending)
 
-    def _offered(self, slot: str) -> list[str]:
+    def _offered(self, slot):
         records = self.world.records
         values = records.values_on(slot, records.matching(self.tracker.held))
         return records.in_order(slot, values)
 
-    def _judge(self, act: str) -> None:
+    def _judge(self, act):
         faults = self.user.faults()
         self.world.fired[f"end: {act}, {'failure' if faults else 'success'}"] += 1
         if len(faults) == 1:
             self.world.fired[f"end: failure only by {faults[0]}"] += 1
         self._end(success=not faults)
 
-    def _end(self, *, success: bool) -> None:
+    def _end(self, *, success):
         self.done = True
         self.success = success
         self.reward = SUCCESS_REWARD if success else FAILURE_REWARD
@@ -142,6 +135,6 @@ class Dialogue:
         self.meant_informs = {}
         self.tracker.hear(self.user.act, self.user.informs, self.user.pending)
 
-    def features(self) -> list[float]:
+    def features(self):
         """Returns the features of this state."""
         return features(self.world, self.tracker, self.turn_count)

@@ -1,20 +1,10 @@
 """The features of a state, in the order of docs/how_it_works.md."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-
-    from .dialogue import World
-    from .tracker import Tracker
-
 PER_HUNDRED = 100.0
 PER_TEN = 10.0
 
 
-def features(world: World, tracker: Tracker, turn: int) -> list[float]:
+def features(world, tracker, turn):
     """Returns 2 acts + 7 slots + 3 + turn_width numbers; `turn` is the user's counter."""
     acts, slots, turn_width = world.acts, world.slots, world.domain.turn_width
     acts_so_far = turn + 1
@@ -35,14 +25,14 @@ def features(world: World, tracker: Tracker, turn: int) -> list[float]:
     ]
 
 
-def marks(chosen: Collection[str], slots: Sequence[str]) -> list[float]:
+def marks(chosen, slots):
     """Returns a number for each slot: 1 if it is chosen."""
     if not chosen:
         return [0.0] * len(slots)
     return [1.0 if slot in chosen else 0.0 for slot in slots]
 
 
-def knowledge_base_counts(tracker: Tracker, slots: Sequence[str], active: set[str]) -> list[int]:
+def knowledge_base_counts(tracker, slots, active):
     """Returns a count for each slot, then the number of records that match all values held."""
     matching = len(tracker.records.matching(tracker.held))
     counts = []

@@ -1,14 +1,8 @@
 """The knowledge base: records, looked up by values."""
 
-from __future__ import annotations
-
 from collections import Counter
-from typing import TYPE_CHECKING
 
 from .values import DONT_CARE, NO_MATCH, RESERVED, plain
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
 
 
 class Records:
@@ -16,23 +10,23 @@ class Records:
 
     def __init__(
         self,
-        records: Iterable[Mapping[str, str]],
-        free_slots: Iterable[str],
-        value_order: Mapping[str, Sequence[str]],
-    ) -> None:
+        records,
+        free_slots,
+        value_order,
+    ):
         self.records = [{slot: plain(value) for slot, value in row.items()} for row in records]
         self.free_slots = set(free_slots)
         self.value_number = {
             slot: {plain(value): number for number, value in enumerate(values)}
             for slot, values in value_order.items()
         }
-        self.rows_with: dict[tuple[str, str], set[int]] = {}
+        self.rows_with = {}
         for number, row in enumerate(self.records):
             for slot, value in row.items():
                 self.rows_with.setdefault((slot, value), set()).add(number)
-        self.cache: dict[frozenset[tuple[str, str]], set[int]] = {}
+        self.cache = {}
 
-    def matching(self, held: Mapping[str, str]) -> set[int]:
+    def matching(self, held):
         """Returns the numbers of the records that match all values held."""
         wanted = frozenset(
             (slot, value)
@@ -46,16 +40,16 @@ class Records:
             self.cache[wanted] = rows
         return self.cache[wanted]
 
-    def count_with(self, slot: str, value: str) -> int:
+    def count_with(self, slot, value):
         """Returns the number of records with this value of this slot."""
         if slot in self.free_slots or value in RESERVED:
             return 0
         return len(self.rows_with.get((slot, value), ()))
 
-    def values_on(self, slot: str, rows: Iterable[int]) -> Counter[str]:
+    def values_on(self, slot, rows):
         """Returns the number of rows with each value of a slot."""
         return Counter(self.records[row][slot] for row in rows if slot in self.records[row])
 
-    def in_order(self, slot: str, values: Iterable[str]) -> list[str]:
+    def in_order(self, slot, values):
         """Returns values of a slot in their fixed order."""
         return sorted(values, key=self.value_number[slot].__getitem__)

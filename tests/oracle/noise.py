@@ -1,22 +1,13 @@
 """The error channel between user and tracker."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
-from .draws import Draws, choose_index
+from .draws import choose_index
 from .values import plain
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from .dialogue import World
 
 
 class Noise:
     """Errors in informed slots and in the act, with fixed probabilities."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world):
         self.world = world
         self.setting = world.setting
         self.slots, self.fired = world.slots, world.fired
@@ -26,12 +17,10 @@ class Noise:
             if values
         }
 
-    def transmit(
-        self, act: str, informs: dict[str, str], draws: Draws, rates: Mapping[str, float]
-    ) -> tuple[str, dict[str, str]]:
+    def transmit(self, act, informs, draws, rates):
         """Returns the act and the informs as the tracker hears them."""
-        heard: dict[str, str] = {}
-        replacements: list[tuple[str, str]] = []
+        heard = {}
+        replacements = []
         for number, slot in enumerate(self.slots):
             if slot not in informs:
                 continue
@@ -57,12 +46,12 @@ class Noise:
             act = acts[choose_index(draws["intent_act"], len(acts))]
         return act, heard
 
-    def _mixed(self, u: float) -> str:
+    def _mixed(self, u):
         if u < 1 / 3:
             return "value"
         return "slot" if u < 2 / 3 else "delete"
 
-    def _other_value(self, slot: str, value: str, number: int, draws: Draws) -> str:
+    def _other_value(self, slot, value, number, draws):
         if slot not in self.error_values:
             self.fired["error: value, but no list"] += 1
             return value
@@ -70,7 +59,7 @@ class Noise:
         values = self.error_values[slot]
         return values[choose_index(draws["error_value"][number], len(values))]
 
-    def _other_slot(self, slot: str, number: int, draws: Draws) -> list[tuple[str, str]]:
+    def _other_slot(self, slot, number, draws):
         others = [
             other
             for other in self.slots

@@ -1,19 +1,8 @@
 """A user with the traits of a profile, as a list of exceptions from the agenda-based user."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
-from .draws import Draws, choose_index
+from .draws import choose_index
 from .user import User
 from .values import DONT_CARE, plain
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
-
-    from bbq_torchrl.domains import Goal
-
-    from .dialogue import World
 
 MIND_CHANGES_AFTER = range(2, 9)
 
@@ -21,7 +10,7 @@ MIND_CHANGES_AFTER = range(2, 9)
 class Person(User):
     """A user of one of the setting's profiles."""
 
-    def __init__(self, world: World, goal: Goal, draws: Draws) -> None:
+    def __init__(self, world, goal, draws):
         self.world, self.goal, self.slots = world, goal, world.slots
         below = [sum(one.share for one in world.setting.users[: n + 1]) for n in range(9)]
         number = next(n for n, share in enumerate(below) if draws["profile"] < share)
@@ -49,7 +38,7 @@ class Person(User):
             }
         super().__init__(world, goal, draws)
 
-    def _other_values(self, slot: str) -> list[str]:
+    def _other_values(self, slot):
         """Returns the values of a constraint with which the whole goal can still be met."""
         world, wanted = self.world, {s: plain(v) for s, v in self.goal.constraints.items()}
         if slot not in wanted or slot not in world.active:
@@ -75,14 +64,14 @@ class Person(User):
         values -= {wanted[slot], DONT_CARE}
         return [value for value in world.value_order[slot] if value in values]
 
-    def _liked(self, slots: Collection[str]) -> list[str]:
+    def _liked(self, slots):
         """Returns slots from the one that it likes best to the one that it likes least."""
         return sorted(slots, key=lambda slot: self.liking[slot], reverse=True)
 
-    def _questions(self, slots: Collection[str]) -> list[str]:
+    def _questions(self, slots):
         return self._liked({s for s in slots if s in self.requests and s != self.ticket})
 
-    def _open(self, opening: tuple[str, ...], draws: Draws) -> None:
+    def _open(self, opening, draws):
         super()._open(opening, draws)
         if self.is_prone["asks_late"]:
             self.fired["person: keeps its questions"] += bool(self._questions(self.agenda))
@@ -91,13 +80,13 @@ class Person(User):
 
     def reply(
         self,
-        kind: str,
-        act: str,
-        slot: str | None,
-        filled: dict[str, str],
-        offered: Collection[str],
-        draws: Draws,
-    ) -> None:
+        kind,
+        act,
+        slot,
+        filled,
+        offered,
+        draws,
+    ):
         """Answers an agent act that does not end the dialogue."""
         asked, told = self._questions(self.pending), set(self.constraints) - self.agenda
         if self.bears and asked and kind != "request" and not (kind == "inform" and slot in asked):
@@ -125,7 +114,7 @@ class Person(User):
         if self.informs:
             self._tell([slot, self.changed])
 
-    def _change_mind(self, told: set[str]) -> str:
+    def _change_mind(self, told):
         """Returns the slot whose constraint it replaces now, if any."""
         self.replies += 1
         slots = self._liked(told & set(self.others))
@@ -136,7 +125,7 @@ class Person(User):
         self.constraints_met, self.others = False, {}
         return slots[0]
 
-    def _take_inform(self, slot: str, value: str, draws: Draws) -> None:
+    def _take_inform(self, slot, value, draws):
         super()._take_inform(slot, value, draws)
         if self.is_prone["withholds"] and self.constraints.get(slot, value) != value:
             self.fired["person: denies a value"] += 1
@@ -144,7 +133,7 @@ class Person(User):
             self.agenda.add(slot)
             self.act = "deny"
 
-    def _judge_offer(self, filled: dict[str, str]) -> None:
+    def _judge_offer(self, filled):
         super()._judge_offer(filled)
         if self.is_prone["explains"] and not self.constraints_met:
             self.fired["person: explains"] += 1
@@ -152,11 +141,11 @@ class Person(User):
                 if filled.get(slot) != value:
                     self._inform(slot)
 
-    def _ask(self, asked: list[str], is_offer: bool) -> None:
+    def _ask(self, asked, is_offer):
         """Insists on a question asked, or asks one after a right offer."""
         late = self._questions(self.agenda)[:1]
         is_late = self.is_prone["asks_late"] and self.constraints_met
-        question: list[str] = []
+        question = []
         if self.is_prone["insists"] and asked:
             self.fired["person: asks again"] += 1
             question = asked
@@ -173,7 +162,7 @@ class Person(User):
             self.fired["person: thanks after the last answer"] += 1
             self.act = "thanks"
 
-    def _tell(self, first: Sequence[str | None]) -> None:
+    def _tell(self, first):
         """Tells as many constraints as it does in a turn, starting with those of some slots."""
         if self.tells is None or not self.constraints:
             return
@@ -191,6 +180,6 @@ class Person(User):
             self._inform(slot)
 
 
-def between(bounds: Sequence[int], u: float) -> int:
+def between(bounds, u):
     """Returns an integer between two bounds, both included."""
     return bounds[0] + choose_index(u, bounds[1] - bounds[0] + 1)

@@ -5,10 +5,7 @@ turn (``first``) and the ``setting``. The agent's acts follow with the draws of 
 indented, the expected observations (:func:`seen`).
 """
 
-from __future__ import annotations
-
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 import yaml
 
@@ -16,15 +13,10 @@ from bbq_torchrl.domains import Goal
 
 from .small import SLOTS, say, start
 
-if TYPE_CHECKING:
-    from collections.abc import Iterator
-
-    from .dialogue import Dialogue
-
 RULES = Path(__file__).with_name("rules.txt").read_text().strip().split("\n\n")
 
 
-def played(rule: str) -> Iterator[tuple[Dialogue, dict[str, str]]]:
+def played(rule):
     """Plays a dialogue of the file. Yields it at each expectation, together with that."""
     lines = [line for line in rule.splitlines() if not line.startswith("#")]
     head = dict(line.split(" ", 1) for line in lines if line[0] != " ")
@@ -43,15 +35,15 @@ def played(rule: str) -> Iterator[tuple[Dialogue, dict[str, str]]]:
             yield dialogue, dict(part.split(": ") for part in line.strip().split("; "))
 
 
-def rules_at_work() -> set[str]:
+def rules_at_work():
     """Returns the names of all rules that apply in the dialogues of the file."""
     dialogues = [[*played(rule)][-1][0] for rule in RULES]
     return {name for dialogue in dialogues for name in dialogue.world.fired}
 
 
-def options(text: str) -> dict[str, Any]:
+def options(text):
     """Returns ``a=1 b.city=0.5`` as ``{"a": 1, "b": {"city": 0.5}}``."""
-    found: dict[str, Any] = {}
+    found = {}
     for pair in text.split():
         path, value = pair.split("=")
         name, _, slot = path.partition(".")
@@ -62,7 +54,7 @@ def options(text: str) -> dict[str, Any]:
     return found
 
 
-def seen(dialogue) -> dict[str, str]:
+def seen(dialogue):
     """Returns the observable state of a dialogue as text."""
     user, tracker = dialogue.user, dialogue.tracker
     return {
@@ -83,9 +75,9 @@ def seen(dialogue) -> dict[str, str]:
     }
 
 
-def slots(chosen) -> str:
+def slots(chosen):
     return " ".join(slot for slot in SLOTS if slot in chosen) or "none"
 
 
-def values(held) -> str:
+def values(held):
     return ", ".join(f"{slot}={held[slot]}" for slot in SLOTS if slot in held)

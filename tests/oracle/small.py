@@ -1,19 +1,11 @@
 """A cinema small enough to look up records by hand: the folder ``cinema``."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains import load_domain
 
 from .dialogue import Dialogue, Setting, World
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from bbq_torchrl.domains import Domain, Goal
 
 CINEMA = load_domain(Path(__file__).with_name("cinema"))
 SLOTS = CINEMA.slots
@@ -22,17 +14,17 @@ GOAL = CINEMA.goals[0].constraints
 ALMOST_ONE = 1 - 2**-24
 
 
-def small_domain(*goals: Goal, records: Sequence[Mapping[str, str]] = CINEMA.records) -> Domain:
+def small_domain(*goals, records=CINEMA.records):
     """Returns the small cinema with these goals."""
     return replace(CINEMA, goals=goals, records=tuple(records))
 
 
-def draws(**chosen: Any) -> dict[str, Any]:
+def draws(**chosen):
     """Returns draws without errors; `agenda="city"` makes that draw choose the slot.
 
     A dict has uniforms of single slots, a number is the uniform of all slots.
     """
-    result: dict[str, Any] = {"goal": 0.0, "intent": ALMOST_ONE, "intent_act": 0.0, "offer": 0.0}
+    result = {"goal": 0.0, "intent": ALMOST_ONE, "intent_act": 0.0, "offer": 0.0}
     names = ("constraint", "request", "agenda", "error", "error_kind", "error_slot", "error_value")
     for name in names:
         result[name] = [ALMOST_ONE if name == "error" else 0.0] * len(SLOTS)
@@ -49,13 +41,13 @@ def draws(**chosen: Any) -> dict[str, Any]:
     return result
 
 
-def start(goal: Goal, *, first: dict[str, Any] | None = None, **setting: Any) -> Dialogue:
+def start(goal, *, first=None, **setting):
     """Returns a dialogue about one goal in the small cinema, after the user's first act."""
     world = World(small_domain(goal), Setting(**setting))
     return Dialogue(world, draws(**(first or {})))
 
 
-def say(dialogue: Dialogue, *actions: str, **chosen: Any) -> None:
+def say(dialogue, *actions, **chosen):
     """Plays agent acts, each with the same draws."""
     for name in actions:
         dialogue.turn(CINEMA.actions[CINEMA.action_index(name)], draws(**chosen))

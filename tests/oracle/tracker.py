@@ -1,37 +1,30 @@
 """The state tracker: the values held, and the completion of the agent's acts."""
 
-from __future__ import annotations
-
-from typing import TYPE_CHECKING
-
 from .values import AVAILABLE, NO_MATCH
-
-if TYPE_CHECKING:
-    from .dialogue import World
 
 
 class Tracker:
     """Holds the latest value of each slot, from either side."""
 
-    def __init__(self, world: World) -> None:
+    def __init__(self, world):
         self.records, self.fired = world.records, world.fired
         self.ticket, self.complete = world.ticket, world.complete
-        self.held: dict[str, str] = {}
+        self.held = {}
         self.heard_act = ""
-        self.heard_informs: dict[str, str] = {}
-        self.user_requests: set[str] = set()
-        self.agent_act: str | None = None
-        self.agent_informs: dict[str, str] = {}
-        self.agent_requests: set[str] = set()
+        self.heard_informs = {}
+        self.user_requests = set()
+        self.agent_act = None
+        self.agent_informs = {}
+        self.agent_requests = set()
 
-    def hear(self, act: str, informs: dict[str, str], requests: set[str]) -> None:
+    def hear(self, act, informs, requests):
         """Updates the state with the user's act as transmitted."""
         self.heard_act = act
         self.heard_informs = dict(informs)
         self.user_requests = set(requests)
         self.held.update(informs)
 
-    def speak(self, kind: str, act: str, slot: str | None) -> None:
+    def speak(self, kind, act, slot):
         """Completes the agent's act with values and updates the state."""
         self.agent_informs = {}
         self.agent_requests = set()
@@ -53,10 +46,10 @@ class Tracker:
             choices = self.records.values_on(slot, rows)
             self.agent_informs[slot] = AVAILABLE if choices else NO_MATCH  # and nothing is held
 
-    def _availability(self, rows: set[int]) -> str:
+    def _availability(self, rows):
         return AVAILABLE if rows else NO_MATCH
 
-    def _most_frequent(self, slot: str, rows: set[int]) -> str:
+    def _most_frequent(self, slot, rows):
         counts = self.records.values_on(slot, rows)
         if not counts:
             self.fired["fill: no match"] += 1

@@ -1,19 +1,10 @@
 """The agenda-based user. Each rule counts its applications in `fired`, which tests check."""
 
-from __future__ import annotations
-
 import math
-from typing import TYPE_CHECKING
+from types import MappingProxyType
 
-from .draws import Draws, choose_index, choose_slot
+from .draws import choose_index, choose_slot
 from .values import AVAILABLE, DONT_CARE, NO_MATCH, plain
-
-if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
-
-    from bbq_torchrl.domains import Goal
-
-    from .dialogue import World
 
 
 class User:
@@ -24,24 +15,24 @@ class User:
     """
 
     leaves_after = math.inf
-    error_prob: Mapping[str, float] = {}
+    error_prob = MappingProxyType({})
 
-    def __init__(self, world: World, goal: Goal, draws: Draws) -> None:
+    def __init__(self, world, goal, draws):
         self.constraints = {
             slot: plain(value) for slot, value in goal.constraints.items() if slot in world.active
         }
         self.requests = {slot for slot in goal.requests if slot in world.active} | {world.ticket}
         self.slots, self.fired = world.slots, world.fired
         self.ticket, self.complete = world.ticket, world.complete
-        self.history: dict[str, str] = {}
+        self.history = {}
         self.constraints_met = False
         self.agenda = set(self.constraints) | self.requests
-        self.pending: set[str] = set()
-        self.informs: dict[str, str] = {}
+        self.pending = set()
+        self.informs = {}
         self.act = "request"
         self._open(world.domain.opening_slots, draws)
 
-    def _open(self, opening: tuple[str, ...], draws: Draws) -> None:
+    def _open(self, opening, draws):
         for slot in opening:
             if slot in self.constraints:
                 self.fired["open: the opening slot"] += 1
@@ -58,20 +49,20 @@ class User:
             self.fired["open: ticket"] += 1
             self.pending = {self.ticket}
 
-    def remember_last_act(self) -> None:
+    def remember_last_act(self):
         """Moves the values transmitted last time to the history."""
         self.history.update(self.informs)
         self.informs = {}
 
     def reply(
         self,
-        kind: str,
-        act: str,
-        slot: str | None,
-        filled: dict[str, str],
-        offered: Collection[str],
-        draws: Draws,
-    ) -> None:
+        kind,
+        act,
+        slot,
+        filled,
+        offered,
+        draws,
+    ):
         """Answers an agent act that does not end the dialogue."""
         if kind == "request":
             self._answer_request(slot)
@@ -87,19 +78,19 @@ class User:
             self.fired[f"repeat: {act}"] += 1
 
     # Elementary operations on a slot.
-    def _inform(self, slot: str) -> None:
+    def _inform(self, slot):
         self.informs[slot] = self.constraints[slot]
         self.agenda.discard(slot)
 
-    def _request(self, slot: str) -> None:
+    def _request(self, slot):
         self.pending.add(slot)
         self.act = "request"
 
-    def _open_constraints(self) -> list[str]:
+    def _open_constraints(self):
         return [slot for slot in self.slots if slot in self.agenda and slot in self.constraints]
 
     # The replies to the agent's acts.
-    def _answer_request(self, slot: str) -> None:
+    def _answer_request(self, slot):
         if slot in self.constraints:
             self.fired["request: a constraint"] += 1
             self._inform(slot)
@@ -125,7 +116,7 @@ class User:
                 self.fired["request: of no interest, nothing left"] += 1
                 self.act = "thanks"
 
-    def _take_inform(self, slot: str, value: str, draws: Draws) -> None:
+    def _take_inform(self, slot, value, draws):
         self.history[slot] = value
         if slot not in self.constraints:
             self.fired["inform: no constraint"] += 1
@@ -143,7 +134,7 @@ class User:
             self._inform(slot)
             self.act = "inform"
 
-    def _continue(self, way: str, draws: Draws) -> None:
+    def _continue(self, way, draws):
         others = self.agenda - {self.ticket}
         if self.pending:
             self.fired[f"{way}: a pending request"] += 1
@@ -168,7 +159,7 @@ class User:
             self.fired[f"{way}: thanks"] += 1
             self.act = "thanks"
 
-    def _judge_offer(self, filled: dict[str, str]) -> None:
+    def _judge_offer(self, filled):
         wrong = [slot for slot, value in self.constraints.items() if filled.get(slot) != value]
         available = filled[self.complete] == AVAILABLE
         verdict = "deny" if wrong else "thanks"
@@ -182,7 +173,7 @@ class User:
             self.agenda.discard(self.ticket)
             self.pending.discard(self.ticket)
 
-    def _go_on_from_agenda(self, draws: Draws) -> None:
+    def _go_on_from_agenda(self, draws):
         if not self.agenda:
             self.fired["confirm_answer: thanks"] += 1
             self.act = "thanks"
@@ -197,7 +188,7 @@ class User:
             self._inform(slot)
             self.act = "inform"
 
-    def _choose(self, slot: str, offered: Collection[str], draws: Draws) -> None:
+    def _choose(self, slot, offered, draws):
         self.act = "inform"
         if slot in self.constraints:
             self.fired["choice: a constraint"] += 1
@@ -209,12 +200,12 @@ class User:
             self.fired["choice: nothing offered"] += 1
             self.informs[slot] = DONT_CARE
 
-    def close(self) -> None:
+    def close(self):
         """Ends the dialogue; pending requests stay visible."""
         self.act = "closing"
         self.informs = {}
 
-    def faults(self) -> list[str]:
+    def faults(self):
         """Returns the reasons why the dialogue has not succeeded; empty on success."""
         broken = [
             slot

@@ -6,6 +6,6 @@ AVAILABLE = "ticket available"
 RESERVED = (DONT_CARE, NO_MATCH, AVAILABLE)
 
 
-def plain(value: str) -> str:
+def plain(value):
     """Returns the spelling in which values are compared."""
     return value.casefold()
