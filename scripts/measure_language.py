@@ -5,20 +5,21 @@ The sentences of ``tests/data/language`` were never learned or chosen by.
 
 from __future__ import annotations
 
-import json
 import random
 import time
 from pathlib import Path
 from statistics import fmean
-from tempfile import TemporaryDirectory
 from typing import Any
 
 from bbq_torchrl.domains import movie_domain
-from bbq_torchrl.people.language import Generator, Understander
-from bbq_torchrl.people.language.corpus import play
-from bbq_torchrl.people.language.measure import labeled_files, measure_round_trip, score
+from bbq_torchrl.people.language.measure import (
+    as_json,
+    labeled_files,
+    measure_round_trip,
+    score,
+    train_measured,
+)
 from bbq_torchrl.people.language.paraphrase import with_typos
-from bbq_torchrl.people.language.understander import SENTENCES
 from bbq_torchrl.utils import output
 
 ROOT = Path(__file__).parents[1]
@@ -28,7 +29,6 @@ LATER = ("second_held_out", "third_held_out")
 """Files of sentences written after the phrases and features."""
 
 _TYPOS, _DRAWS = 0.1, 5
-_DIALOGUES, _ROUND_TRIPS = 10_000, 3_000
 
 
 def lowered(text: str) -> str:
@@ -49,12 +49,7 @@ def measure() -> dict[str, Any]:
     domain = movie_domain()
     files = labeled_files(ROOT / "tests" / "data" / "language", domain)
     lines = [line for voice in VOICES for line in files[voice]]
-    started = time.process_time()
-    understand = Understander.train(domain)
-    training = time.process_time() - started
-    with TemporaryDirectory() as folder:
-        understand.save(file := Path(folder, "movie.npz"))
-        size = file.stat().st_size
+    understand, figures = train_measured(domain)
     started = time.process_time()
     for question, text, _ in lines:
         understand(text, question)
@@ -65,13 +60,8 @@ def measure() -> dict[str, Any]:
         score(understand, lines, lambda text: " ".join(with_typos(text.split(), _TYPOS, rng)))
         for _ in range(_DRAWS)
     ]
-    turns = play(domain, _DIALOGUES)[:_ROUND_TRIPS]
     return {
-        "domain": domain.name,
-        "learned_from": SENTENCES,
-        "seed": 0,
-        "training_seconds": round(training, 1),
-        "megabytes": round(size / 1e6, 2),
+        **figures,
         "free": whole,
         **{name: found[name] for name in LATER},
         "voices": {
@@ -83,17 +73,11 @@ def measure() -> dict[str, Any]:
         "lowered_cost_slot_f1": whole["slot_f1"] - score(understand, lines, lowered)["slot_f1"],
         "other_hand_slot_f1": found["other_hand"]["slot_f1"],
         "milliseconds_a_sentence": 1e3 * seconds / len(lines),
-        **measure_round_trip(understand, Generator(domain), turns),
+        **measure_round_trip(understand),
     }
 
 
-def _rounded(figures: Any) -> Any:
-    if isinstance(figures, dict):
-        return {key: _rounded(value) for key, value in figures.items()}
-    return round(figures, 4) if isinstance(figures, float) else figures
-
-
 if __name__ == "__main__":
-    text = json.dumps(_rounded(measure()), indent=1) + "\n"
+    text = as_json(measure())
     output.write(text)
     RESULT.write_text(text, encoding="utf-8")

@@ -7,25 +7,23 @@ if __name__ == "__main__":  # before anything that takes time to import
 
     interruption.listen()
 
-import json
 import sys
-import time
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import torch
 
 from bbq_torchrl.domains.folder import SHIPPED, named_domain
-from bbq_torchrl.people.language.corpus import play
-from bbq_torchrl.people.language.generator import Generator
 from bbq_torchrl.people.language.measure import (
+    as_json,
     labeled_files,
-    measure_own,
     measure_round_trip,
+    score,
+    score_grammar,
+    train_measured,
 )
 from bbq_torchrl.people.language.training_lines import read_lines
-from bbq_torchrl.people.language.understander import SENTENCES, Understander
+from bbq_torchrl.people.language.understander import SENTENCES
 from bbq_torchrl.utils import output
 from bbq_torchrl.utils.files import write_text
 
@@ -37,7 +35,6 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.domains import Domain
 
-_ROUND_TRIPS = 3_000  # turns
 _DOMAIN = f"{', '.join(SHIPPED)}, or a domain's folder"
 
 
@@ -74,34 +71,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = parser.parse_args(arguments)
     domain = named_domain(given.domain)
     if given.command == "count":
-        _count(given, domain)
-        return 0
+        return _count(given, domain)
     lines = [] if given.labeled is None else read_lines(given.labeled, domain)
     data = given.data if given.command == "measure" else None
     files = {} if data is None else labeled_files(data, domain)
-    started = time.process_time()
-    understand = Understander.train(
-        domain, sentences=given.sentences, seed=given.seed, labeled=lines
-    )
-    seconds = time.process_time() - started
-    if given.command == "train":
+    understand, figures = train_measured(domain, given.sentences, given.seed, lines)
+    if given.file is not None or given.command == "train":
         understand.save(given.file or f"{domain.name}.language.npz")
+    if given.command == "train":
         return 0
-    with TemporaryDirectory() as folder:
-        file = given.file or Path(folder, "understander.npz")
-        understand.save(file)
-        megabytes = round(file.stat().st_size / 1e6, 2)
-    turns = play(domain, given.dialogues, seed=given.seed)[:_ROUND_TRIPS]
-    figures = {
-        "domain": domain.name,
-        "learned_from": given.sentences,
-        "seed": given.seed,
-        "training_seconds": round(seconds, 1),
-        "megabytes": megabytes,
-        **measure_own(understand, files, given.seed),
-        **measure_round_trip(understand, Generator(domain), turns),
-    }
-    text = json.dumps(_rounded(figures), indent=1) + "\n"
+    figures["grammar"] = score_grammar(understand, given.seed)
+    figures |= {name: score(understand, own) for name, own in files.items()}
+    text = as_json(figures | measure_round_trip(understand, given.dialogues, given.seed))
     output.write(text)
     if not files:
         output.print_error(
@@ -114,7 +95,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     return 0
 
 
-def _count(given: argparse.Namespace, domain: Domain) -> None:
+def _count(given: argparse.Namespace, domain: Domain) -> int:
     # Imported here: the language layer is below the environments, and needs no TorchRL.
     from bbq_torchrl.envs.text_channel import count_errors, save_errors
 
@@ -124,6 +105,7 @@ def _count(given: argparse.Namespace, domain: Domain) -> None:
     assert domain.folder is not None
     file = save_errors(domain.folder, counts)
     output.write(f"{counts['turns']} turns counted: {file}\n")
+    return 0
 
 
 def _agent(name: str, domain: Domain) -> TensorDictModuleBase:
@@ -137,12 +119,6 @@ def _agent(name: str, domain: Domain) -> TensorDictModuleBase:
             f"--trained must name runs of one replica in the domain {domain.name}, got {name}"
         )
     return run.policy
-
-
-def _rounded(figures: Any) -> Any:
-    if isinstance(figures, dict):
-        return {key: _rounded(value) for key, value in figures.items()}
-    return round(figures, 4) if isinstance(figures, float) else figures
 
 
 if __name__ == "__main__":

@@ -87,14 +87,10 @@ class Composer:
             and slot not in question.requests
             and self._owners.get(compact(value), slot) != slot
         }
-        turn = _Turn(
-            rng,
-            question,
-            {slot: pieces for slot, pieces in values.items() if slot not in hidden},
-            [slot for slot in told if slot not in hidden],
-            rng.random() < 0.35,
-            self._domain.ticket_slot in frame.requests,
-        )
+        left = [slot for slot in told if slot not in hidden]
+        own = {slot: values[slot] for slot in left}
+        is_booking = self._domain.ticket_slot in frame.requests
+        turn = _Turn(rng, question, own, left, rng.random() < 0.35, is_booking)
         rng.shuffle(turn.left)
         parts = self._parts(frame, turn)
         for slot in sorted(hidden):
@@ -145,8 +141,8 @@ class Composer:
             else:
                 first = [*first, Piece(" "), *piece]
         first = front + first
-        wrapped = first if turn.is_terse else self._wrap("ask", first, turn)
-        return [wrapped, *(self._wrap("also", more, turn) for more in asked[1:])]
+        more = (self._wrap("also", question, turn) for question in asked[1:])
+        return [self._wrap("ask", first, turn), *more]
 
     def _questions(self, requests: Sequence[str], turn: _Turn) -> list[list[Piece]]:
         asked = []
@@ -207,11 +203,9 @@ class Composer:
 
     def _open(self, turn: _Turn) -> list[list[Piece]]:
         """Returns a whole sentence, unless each needs a value that there is not."""
-        options, values = (
-            self._phrases.user["open"],
-            {slot: turn.values[slot] for slot in turn.left},
-        )
-        if not any(is_possible(option, values, self._rules) for option in options):
+        options = self._phrases.user["open"]
+        left = {slot: turn.values[slot] for slot in turn.left}
+        if not any(is_possible(option, left, self._rules) for option in options):
             return []
         stated = self._fill(options, turn)
         while turn.left and turn.rng.random() < 0.9:
@@ -219,7 +213,7 @@ class Composer:
             piece = self._slot_phrase(slot, "with", turn)
             mark = Piece(turn.rng.choice([" ", " ", " ", ", "]))
             stated = [*stated, mark, *piece] if turn.rng.random() < 0.9 else [*piece, mark, *stated]
-        return [stated if turn.is_terse else self._wrap("state", stated, turn)]
+        return [self._wrap("state", stated, turn)]
 
     def _rest(self, turn: _Turn, *, is_first: bool) -> list[list[Piece]]:
         """Returns clauses for the remaining values."""
@@ -228,7 +222,7 @@ class Composer:
             slot = turn.left.pop()
             use = "with" if turn.rng.random() < 0.6 else "say"
             said = self._slot_phrase(slot, use, turn)
-            if is_first and not parts and not turn.is_terse:
+            if is_first and not parts:
                 said = self._wrap("state", said, turn)
             parts.append(said)
         return parts
@@ -251,6 +245,9 @@ class Composer:
         return not words.isdisjoint(self._phrases.slots[self._domain.ticket_slot].nouns)
 
     def _wrap(self, use: str, said: list[Piece], turn: _Turn) -> list[Piece]:
+        """Returns a clause with the words around it, which a terse sentence leaves out."""
+        if turn.is_terse and use != "also":
+            return said
         return self._fill(self._phrases.user[use], turn, values={"q": said})
 
     def _fill(

@@ -237,16 +237,9 @@ class EndpointGenerator:
         self._endpoint, self._own, self._tell = endpoint, own, tell
         self.clarify, self.say = own.clarify, own.say
 
-    def agent(
-        self,
-        frame: Frame,
-        kept: Mapping[str, str] | None = None,
-        *,
-        session: str | int = 0,
-        turn: int = 0,
-    ) -> str:
+    def agent(self, frame: Frame, kept: Mapping[str, str] | None = None, **words: Any) -> str:
         """Returns an agent's sentence; the arguments are those of the local generator."""
-        own = self._own.agent(frame, kept, session=session, turn=turn)
+        own = self._own.agent(frame, kept, **words)
         # The endpoint's sentence must say every value that the local one says.
         values = [value.lower() for value in frame.informs.values() if value.lower() in own.lower()]
 

@@ -59,6 +59,7 @@ class Lexicon:
         phrases: its phrases, see :func:`~bbq_torchrl.people.language.phrases.load_phrases`.
         kinds: the kind of quantity of each slot's values.
         keys: by slot, the canonical key of every name of its values.
+        names: by slot, all names of its values and their plurals, split into words.
 
     Raises:
         PhrasesError: if the domain's phrases do not fit it.
@@ -90,18 +91,11 @@ class Lexicon:
         }
         self.keys = {slot: self._keys(slot) for slot in self._values}
         self._spelled = {slot: self._spellings(slot) for slot in self._values}
-        self._plurals = {
-            slot: {plural: key for text, key in keys.items() if (plural := _plural(text))}
-            if self.kinds[slot] == "text"
-            else {}
-            for slot, keys in self.keys.items()
-        }
+        named = {slot: self._plurals(slot) | keys for slot, keys in self.keys.items()}
+        self.names = {slot: {tuple(tokenize(text)) for text in own} for slot, own in named.items()}
         self._names = {
-            slot: {
-                compact(text): key
-                for text, key in (*self._plurals[slot].items(), *reversed(keys.items()))
-            }
-            for slot, keys in self.keys.items()
+            slot: {compact(text): key for text, key in reversed(own.items())}
+            for slot, own in named.items()
         }
         owners = Counter(name for names in self._names.values() for name in names)
         self._only = {
@@ -128,6 +122,11 @@ class Lexicon:
                 keys |= dict.fromkeys(others, key)
         return keys
 
+    def _plurals(self, slot: str) -> dict[str, str]:
+        """Returns the key of the plural of every name of a slot's values."""
+        keys = self.keys[slot] if self.kinds[slot] == "text" else {}
+        return {plural: key for text, key in keys.items() if (plural := _plural(text))}
+
     def key(self, slot: str, value: str) -> str:
         """Returns the canonical key of a value, the same for all its spellings."""
         kind = self.kinds.get(slot, "text")
@@ -147,14 +146,6 @@ class Lexicon:
             name: max(count, key=lambda slot: count[slot])
             for name, count in holders.items()
             if len(count) > 1
-        }
-
-    @cached_property
-    def names(self) -> dict[str, set[tuple[str, ...]]]:
-        """All names of each slot's values, split into words."""
-        return {
-            slot: {tuple(tokenize(text)) for text in (*keys, *self._plurals[slot])}
-            for slot, keys in self.keys.items()
         }
 
     def _spellings(self, slot: str) -> dict[str, str]:
@@ -256,8 +247,7 @@ class Lexicon:
             if head == "around":
                 keys += [key.replace("around", "at") for key in keys]
         elif part in ("morning", "afternoon", "evening", "night", "noon") and head:
-            other = {"evening": "night", "night": "evening"}.get(part, part)
-            keys += [f"{head} {other}", head]
+            keys.append(head)
         elif head == "day":  # "the 12th" of the only month with one
             days = [key for key in known if key.endswith(f"/{part}")]
             keys += days if len(days) == 1 else []
@@ -338,10 +328,9 @@ class _Names:
             return {word: 1.0}
         if len(word) <= 3 or word.isdecimal():
             return {}
-        process, similarity = _rapidfuzz()
-        near = process.extract(
-            word, list(self._weight), scorer=similarity, score_cutoff=0.72, limit=3
-        )
+        process, osa = fuzzy()
+        similar, names = osa.normalized_similarity, list(self._weight)
+        near = process.extract(word, names, scorer=similar, score_cutoff=0.72, limit=3)
         return {other: score for other, score, _ in near if len(other) > 2}
 
 
@@ -363,6 +352,7 @@ def _important_words(text: str) -> list[str]:
     return [_SAME_WORD.get(word, word) for word in words if any(c.isalnum() for c in word)]
 
 
-def _rapidfuzz() -> tuple[Any, Any]:
-    fuzz = needed("rapidfuzz", "rapidfuzz.process")
-    return fuzz, needed("rapidfuzz", "rapidfuzz.distance").OSA.normalized_similarity
+def fuzzy() -> tuple[Any, Any]:
+    """Returns rapidfuzz's searches, and its edit distance with swapped letters."""
+    distance = needed("rapidfuzz", "rapidfuzz.distance")
+    return needed("rapidfuzz", "rapidfuzz.process"), distance.OSA

@@ -2,30 +2,37 @@
 
 from __future__ import annotations
 
+import json
 import math
 import random
+import time
 from itertools import compress
+from pathlib import Path
 from statistics import fmean
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING, Any
 
-from bbq_torchrl.people.language.corpus import make_examples
+from bbq_torchrl.people.language.corpus import make_examples, play
+from bbq_torchrl.people.language.generator import Generator
 from bbq_torchrl.people.language.training_lines import Line, read_lines, without_unknown
-from bbq_torchrl.people.language.understander import keys_of, same_frame
+from bbq_torchrl.people.language.understander import (
+    SENTENCES,
+    Understander,
+    keys_of,
+    same_frame,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable, Mapping, Sequence
-    from pathlib import Path
 
     from bbq_torchrl.domains import Domain
-    from bbq_torchrl.domains.frames import Frame
-    from bbq_torchrl.people.language.generator import Generator
-    from bbq_torchrl.people.language.understander import Understander
 
 SUREST = 0.8
 """The share of sentences to answer."""
 
 _CHANCES = 200
 _MADE = 2_000
+_ROUND_TRIPS = 3_000  # turns
 
 
 def score(
@@ -103,33 +110,39 @@ def labeled_files(data: Path, domain: Domain) -> dict[str, list[Line]]:
     return {name: lines for name, lines in files.items() if lines}
 
 
-def measure_own(
-    understand: Understander, files: Mapping[str, Sequence[Line]], seed: int
-) -> dict[str, Any]:
-    """Returns the figures for unseen sentences of a domain's grammar, and for each labeled file.
+def train_measured(
+    domain: Domain, sentences: int = SENTENCES, seed: int = 0, labeled: Sequence[Line] = ()
+) -> tuple[Understander, dict[str, Any]]:
+    """Returns a trained understander, and what its training took; arguments as in training."""
+    started = time.process_time()
+    understand = Understander.train(domain, sentences=sentences, seed=seed, labeled=labeled)
+    seconds = time.process_time() - started
+    with TemporaryDirectory() as folder:
+        understand.save(file := Path(folder, "understander.npz"))
+        size = file.stat().st_size
+    return understand, {
+        "domain": domain.name,
+        "learned_from": sentences,
+        "seed": seed,
+        "training_seconds": round(seconds, 1),
+        "megabytes": round(size / 1e6, 2),
+    }
 
-    Args:
-        understand: the understander.
-        files: see :func:`labeled_files`.
-        seed: the seed of training; the sentences use another.
-    """
+
+def score_grammar(understand: Understander, seed: int) -> dict[str, float]:
+    """Returns the scores of unseen sentences of the domain's grammar; ``seed`` is training's."""
     made = make_examples(understand.lexicon, _MADE, seed + 2)
-    lines = [Line(one.question, " ".join(one.words), one.frame) for one in made]
-    return {name: score(understand, own) for name, own in {"grammar": lines, **files}.items()}
+    return score(understand, [Line(one.question, " ".join(one.words), one.frame) for one in made])
 
 
 def measure_round_trip(
-    understand: Understander, generator: Generator, turns: Sequence[tuple[Frame | None, Frame]]
+    understand: Understander, dialogues: int = 10_000, seed: int = 0
 ) -> dict[str, float]:
-    """Returns the shares of frames recovered from the grammar's sentences.
-
-    Args:
-        understand: the understander.
-        generator: the generator.
-        turns: the agent's last act and the user's act.
-    """
+    """Returns the shares of simulated users' frames recovered from the grammar's sentences."""
+    turns = play(understand.domain, dialogues, seed=seed)[:_ROUND_TRIPS]
+    speak = Generator(understand.domain)
     lines = [
-        Line(question, generator.user(frame, question, session=number), frame)
+        Line(question, speak.user(frame, question, session=number), frame)
         for number, (question, frame) in enumerate(turns)
     ]
     result = score(understand, lines)
@@ -137,3 +150,10 @@ def measure_round_trip(
         "turns": len(lines),
         **{f"round_trip_{name}": result[name] for name in ("frame", "slot_f1", "act")},
     }
+
+
+def as_json(figures: Mapping[str, Any]) -> str:
+    """Returns figures as JSON, rounded to four decimals."""
+    exact = json.dumps(figures)
+    rounded = json.loads(exact, parse_float=lambda text: round(float(text), 4))
+    return json.dumps(rounded, indent=1) + "\n"

@@ -6,6 +6,7 @@ from collections import defaultdict
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
+from bbq_torchrl.people.language.lexicon import fuzzy
 from bbq_torchrl.people.language.quantities import (
     COUNT_WORDS,
     DAY_WORDS,
@@ -17,7 +18,6 @@ from bbq_torchrl.people.language.quantities import (
     RELATION_WORDS,
 )
 from bbq_torchrl.people.language.words import OUTSIDE, compact, spans_of, word_set
-from bbq_torchrl.utils.output import needed
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Sequence
@@ -30,7 +30,6 @@ _LONGEST = 9
 _LONGEST_QUANTITY = 6
 QUANTITIES = ("time", "date", "count")
 UNKNOWN = "<unknown>"
-_FUZZ = ("process", "distance")
 
 
 class Features:
@@ -69,8 +68,8 @@ class Features:
             return word
         if len(word) < 4:
             return UNKNOWN
-        fuzz, distance = (needed("rapidfuzz", f"rapidfuzz.{name}") for name in _FUZZ)
-        near = fuzz.extractOne(word, self._long, scorer=distance.OSA.distance, score_cutoff=1)
+        process, osa = fuzzy()
+        near = process.extractOne(word, self._long, scorer=osa.distance, score_cutoff=1)
         return UNKNOWN if near is None else str(near[0])
 
     def of_words(self, words: Sequence[str], question: Frame) -> list[list[str]]:

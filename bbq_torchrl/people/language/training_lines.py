@@ -225,7 +225,7 @@ def _said(words: list[str], name: list[str]) -> range | None:
 def varied(
     examples: Sequence[Example], lexicon: Lexicon, paraphrase: Paraphraser, copies: int, seed: int
 ) -> list[Example]:
-    """Returns the sentences, and copies of each with other values.
+    """Returns copies of sentences with other values.
 
     Some names in the copies are made up, so that the context is what reveals an unknown name.
 
@@ -238,7 +238,7 @@ def varied(
     """
     rng = random.Random(seed)
     names = Names(lexicon)
-    found = list(examples)
+    found = []
     for example in examples:
         for _ in range(copies):
             words, tags, at = [], [], 0

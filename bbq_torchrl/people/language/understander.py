@@ -141,8 +141,8 @@ class Understander:
             played = make_examples(lexicon, _PLAYED * sentences, seed, simulated=True)
             paraphrase, some = Paraphraser(lexicon), grammar[::_UNKNOWN]
             copies = min(_COPIES, round(sentences / max(len(people), 1)))
-            others = varied(people, lexicon, paraphrase, copies, seed)
-            others += varied(some, lexicon, paraphrase, 1, seed)[len(some) :]
+            others = [*people, *varied(people, lexicon, paraphrase, copies, seed)]
+            others += varied(some, lexicon, paraphrase, 1, seed)
             examples = [*grammar, *spoiled(others, seed), *played[::_TAGGED]]
             foreign = make_foreign(lexicon, grammar, sentences // _FOREIGN, seed)
             model = fit(lexicon, examples, played, foreign, seed=seed, steps=_STEPS)
@@ -289,38 +289,29 @@ def cached_understander(
         ModuleNotFoundError: the extra ``language`` is not installed.
     """
     lines = [] if labeled is None else read_lines(labeled, domain)
-    file = _cache_folder() / "bbq-torchrl" / f"{language_key(domain, labeled)}.npz"
-    with suppress(OSError, ValueError):
-        _make_private(file.parent)
-        return Understander.load(file, domain)
+    name = f"{language_key(domain, labeled)}.npz"
+    with suppress(OSError, RuntimeError, ValueError):
+        return Understander.load(_cache_folder() / name, domain)
     tell("Learning the language of the domain, once; it takes about a minute ...")
     own = Understander.train(domain, labeled=lines)
-    with suppress(OSError):  # without a cache folder it is trained each time
-        _make_private(file.parent)
-        own.save(file)
+    with suppress(OSError, RuntimeError):  # without a cache folder it is trained each time
+        own.save(_cache_folder() / name)
     return own
 
 
 def _cache_folder() -> Path:
-    """Returns the user's cache folder; without a home folder, a path that cannot store files."""
-    if given := os.environ.get("XDG_CACHE_HOME"):
-        return Path(given)
-    try:
-        return Path.home() / ".cache"
-    except RuntimeError:  # neither HOME nor a user name, as in some containers
-        return Path(os.devnull)
-
-
-def _make_private(folder: Path) -> None:
-    """Creates a folder if needed, and restricts it to its user: its files are trusted.
+    """Returns the user's cache folder, restricted to its user: its files are trusted.
 
     Raises:
+        RuntimeError: there is no home folder.
         OSError: it cannot be made, or is another user's.
     """
+    folder = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "bbq-torchrl"
     folder.mkdir(mode=0o700, parents=True, exist_ok=True)
     if hasattr(os, "getuid") and folder.stat().st_uid != os.getuid():
         raise PermissionError(errno.EPERM, "is another user's", os.fspath(folder))
     folder.chmod(0o700)
+    return folder
 
 
 def language_key(domain: Domain, labeled: Path | None = None) -> str:

@@ -86,7 +86,6 @@ def test_a_line_is_learned_with_other_values_as_well(lexicon):
     meant = Frame.parse("request(ticket) inform(moviename=wonka, city=reno, date=tonight)")
     examples = as_examples([Line(None, "is wonka on in reno tonight", meant)], lexicon)
     found = varied(examples, lexicon, lambda slot, value, rng: value, copies=20, seed=0)
-    assert found[0] == examples[0]
     cities, made_up = set(), 0
     for example in found:
         tagged = list(zip(example.words, example.tags, strict=True))

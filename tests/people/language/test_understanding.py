@@ -195,7 +195,7 @@ def test_measuring_leaves_a_trained_file_alone(understand, tmp_path, monkeypatch
     monkeypatch.chdir(tmp_path)
     (tmp_path / "movie.language.npz").write_text("trained")
     monkeypatch.setattr(Understander, "train", lambda *args, **given: understand)
-    monkeypatch.setattr(command, "measure_own", lambda *args: {"turns": 3})
+    monkeypatch.setattr(command, "score_grammar", lambda *args: {"sentences": 3})
     monkeypatch.setattr(command, "measure_round_trip", lambda *args: {})
     assert command.main(["measure", "--out", "new/figures.json", "--dialogues", "9"]) == 0
     assert (tmp_path / "movie.language.npz").read_text() == "trained"
