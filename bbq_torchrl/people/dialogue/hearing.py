@@ -122,7 +122,9 @@ class Hearing:
                 return replace(reading, frame=Frame("not_sure"), confidence=0.0), ()
             return reading, ()
         informs = {slot: value for slot, value in told.items() if value != ANY}
-        requests = tuple(slot for slot in reading.frame.requests if slot not in slots)
+        asking = " ".join(moves.questions(text))  # "any day is fine. which days are there?"
+        asked_for = moves.named_slots(asking, self._spelling.lexicon)
+        requests = tuple(s for s in reading.frame.requests if s not in slots or s in asked_for)
         informs |= dict.fromkeys(slots, ANY)
         frame = replace(reading.frame, informs=informs, requests=requests)
         if frame.act not in ("inform", "request"):
@@ -138,8 +140,6 @@ class Hearing:
         "What time is the earliest show?" asks for the time: "earliest show" is no clock time.
         """
         asked, informs = dict.fromkeys(reading.frame.requests), {**reading.frame.informs}
-        if moves.says(text, "untold") and self.is_unsure(reading) and not informs:
-            return replace(reading, frame=Frame("not_sure"))
         for slot in self._spelling.named(text, informs) if moves.says(text, "question") else ():
             is_time = informs[slot] == ANY or read_time(informs[slot])
             if self._spelling.lexicon.kinds.get(slot) == "time" and not is_time:

@@ -101,7 +101,7 @@ class Partner:
         before, rules = memory or Memory(), self.control.rules
         now = replace(before, texts=before.texts + 1)
         words: dict[str, Any] = {"session": seed, "turn": now.texts}
-        is_about = (bool(before.proposal) or before.is_offered) and not before.asking.is_check
+        is_about = bool(before.proposal) or before.is_offered
         told = Told("", {}, text, True)
         try:
             if "drop" in rules and moves.says(text, "restart"):
@@ -112,10 +112,15 @@ class Partner:
                 return self._say(
                     now, self._nlg.say(topic, self.domain.essential[:_MAX_NAMED], **words)
                 )
-            if is_about and "answers_first" in rules and not moves.accepts(text):
-                told = self._questions(self._ways_out.nearest(before), text, words)
+            if "answers_first" in rules and not (before.asking.is_check or moves.accepts(text)):
+                record = self._ways_out.nearest(before) if is_about else None
+                told = self._questions(record, text, words)
             question = self._question(before)
             reading = self._hear(told.rest or text, question)
+            if told.text and told.rest and (named := self._elsewhere(before, told.rest)):
+                told, reading = Told("", {}, text, True), self._hear(text, question)
+                informs = {**named, **reading.frame.informs}
+                reading = replace(reading, frame=replace(reading.frame, informs=informs))
         except TextError as error:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
         if not told.text:
@@ -126,13 +131,14 @@ class Partner:
             moves.accepts(told.rest) and (before.is_offered or not told.is_yes)
         )
         if is_only:
-            answer = self._say(now, self._nlg.say("stands", **words), reading)
+            stands = self._nlg.say("stands", **words) if is_about else ""
+            answer = self._say(now, stands, reading)
         else:
             answer = self._reply(before, reading, told.rest, words, True)
         informs = {**told.values, **answer.answered.informs}
         return replace(
             answer,
-            text=f"{told.text} {answer.text}",
+            text=f"{told.text} {answer.text}".strip(),
             answered=replace(answer.answered, act="inform", informs=informs),
         )
 
@@ -172,7 +178,8 @@ class Partner:
                 return self._ask_again(now, again, self._nlg.clarify(again, **words))
             reading = self._confirmed(before, reading, text)
         elif before.proposal:
-            if taken := self._taken(before, reading, text):
+            asks_others = others and moves.says(text, "question")
+            if not asks_others and (taken := self._taken(before, reading, text)):
                 reading, others = taken, False
                 now = replace(now, proposal={})
             elif is_no_more and not others:
@@ -241,6 +248,14 @@ class Partner:
         if is_any and is_found and not (asked or absent):
             answer = _led(answer, self._nlg.say("yes", **words))
         return answer
+
+    def _elsewhere(self, before: Memory, rest: str) -> dict[str, str]:
+        """Returns the values by which the rest of a text names another record, to ask about it."""
+        reading, record = self._hear(rest, None), self._ways_out.nearest(before)
+        named = {s: v for s, v in _values(reading.frame).items() if s not in self.domain.free_slots}
+        is_sure = not self._nlu.asks(reading) or self._spelling.is_named(rest, named)
+        is_other = any(record.get(slot, value) != value for slot, value in named.items())
+        return named if is_sure and is_other and not moves.asks_whether_any(rest) else {}
 
     def _without_strange(
         self, reading: Understood, question: Frame | None, words: dict[str, Any]
@@ -314,14 +329,17 @@ class Partner:
         proposal = before.proposal
         beside = self._beside_yes(before, text, proposal)
         said = beside or reading
-        told, requests = _values(said.frame), said.frame.requests
+        own = {
+            fold(value): slot for slot, value in proposal.items()
+        }  # "tonight" is a date, or a time
+        told = {own.get(fold(value), slot): value for slot, value in _values(said.frame).items()}
+        requests = said.frame.requests
         if any(proposal.get(slot, value) != value for slot, value in told.items()):
             return None
         if beside is None:
-            is_named = bool(told.keys() & proposal.keys()) and not said.unclear
+            is_named = bool(told) and not said.unclear
             is_named |= self._hear.is_bare(reading.frame, "confirm_answer", "thanks")
-            is_asked = moves.says(text, "question") and not requests
-            if not is_named or is_asked or moves.says(text, "hesitates") or moves.says(text, "no"):
+            if not is_named or moves.says(text, "no"):
                 return None
         frame = Frame("request" if requests else "inform", {**proposal, **told}, requests)
         return replace(said, frame=frame, confidence=max(said.confidence, DOUBTFUL))

@@ -55,11 +55,12 @@ class Questions:
         self._free = {*domain.free_slots, *domain.special_slots}
         self._spoken_of = {action.slot for action in domain.actions}
 
-    def __call__(self, record: Mapping[str, str], text: str, words: dict[str, Any]) -> Told:
+    def __call__(self, record: Mapping[str, str] | None, text: str, words: dict[str, Any]) -> Told:
         """Returns the answers to the questions of a text about a record.
 
         Args:
-            record: the record's values by slot.
+            record: the record's values by slot; ``None`` if none is proposed or offered: then only
+                what no record answers is.
             text: the person's text.
             words: what determines the words.
         """
@@ -67,7 +68,7 @@ class Questions:
         rest: list[str] = []
         told: dict[str, str] = {}
         is_yes = True
-        names = sorted(map(fold, record.values()), key=len, reverse=True)
+        names = sorted(map(fold, (record or {}).values()), key=len, reverse=True)
         subject = re.compile(rf"\b(is|does) (?:{'|'.join(map(re.escape, names)) or '_'})\b")
         for sentence in moves.sentences(text):
             found = self._answer(record, subject.sub(r"\1 it", sentence), words)
@@ -82,7 +83,7 @@ class Questions:
         return Told(" ".join(said), told, " ".join(rest), is_yes)
 
     def _answer(
-        self, record: Mapping[str, str], sentence: str, words: dict[str, Any]
+        self, record: Mapping[str, str] | None, sentence: str, words: dict[str, Any]
     ) -> tuple[str, dict[str, str], bool] | None:
         """Returns an answer, its values, and whether it agrees; ``None`` if there is no answer."""
         is_whether = moves.says(sentence, "whether")
@@ -91,6 +92,8 @@ class Questions:
             return None
         if moves.says(sentence, "untold"):
             return self._nlg.say("unknown_question", **words), {}, True
+        if record is None:
+            return None
         reading = self._hear(sentence, None)
         meant = {slot: [value] for slot, value in reading.frame.informs.items()}
         meant |= {one.slot: [*one.candidates] or [one.text] for one in reading.unclear}
@@ -103,6 +106,8 @@ class Questions:
             for slot, start, end in self._spelling.lexicon.full_names(said):
                 meant[slot] = [" ".join(said[start:end])]
         has = {slot: self._having(record, values) for slot, values in meant.items()}
+        if not all(has.values()) and (moves.says(sentence, "also") or self._is_of(sentence, meant)):
+            return None
         is_guess = reading.confidence < DOUBTFUL
         is_detail = moves.says(sentence, "detail") and meant.keys().isdisjoint(self._spoken_of)
         is_detail &= is_guess or all(has[slot] or slot not in record for slot in meant)
@@ -127,6 +132,13 @@ class Questions:
         if not (asked or reading.frame.informs) and (is_guess or not meant):
             return self._nlg.say("unknown_question", **words), {}, True
         return None
+
+    def _is_of(self, sentence: str, meant: Mapping[str, Sequence[str]]) -> bool:
+        """Returns whether a question is of something named, as "is the 2:40 one left?"."""
+        said, lexicon = tokenize(sentence), self._spelling.lexicon
+        places = (lexicon.place(said, slot, values[0]) for slot, values in meant.items())
+        before = (" ".join(said[: place.start]) for place in places if place is not None)
+        return any(moves.says(words, "of") for words in before)
 
     def _having(self, record: Mapping[str, str], values: Sequence[str]) -> str | None:
         """Returns the slot of a record that has one of some values, or a name with it in it."""

@@ -9,7 +9,7 @@ import torch
 
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.values import FIRST_VALUE, NONE
-from bbq_torchrl.people.language.quantities import day_of, kind_of, minutes_of
+from bbq_torchrl.people.language.quantities import about_minutes, day_of, kind_of, minutes_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -51,8 +51,9 @@ class Records:
     """Compares records with the values that a tracker holds.
 
     A record contradicts a value if it has another one; without the slot it only lacks the value, as
-    with another value of a minor slot. Values of free slots, reserved values and no value never
-    count.
+    with another value of a minor slot. A record of a known place contradicts a wider place that
+    others have and that nothing told implies: a record in Reno "in California". Values of free
+    slots, reserved values and no value never count.
 
     Args:
         domain: the domain's tensors.
@@ -77,6 +78,8 @@ class Records:
         kinds = [kind_of(texts[FIRST_VALUE:][:_SAMPLE]) for texts in domain.vocabulary]
         costs = torch.tensor([_EACH + _COSTS[kind] for kind in kinds], dtype=torch.float64)
         self._is_place = self.determines.any(0) & ~self.minor
+        self._is_placed = (self.has[:, :, None] & self.determines).any(1)
+        self._contradicts = self.has & ~self.minor
         self._costs = costs + _OPENING * domain.opening
         self.opening, self.lasting = domain.opening, self._is_place | domain.opening
         self._minutes = {
@@ -102,9 +105,12 @@ class Records:
         Returns:
             bool ``[*B, R, S]`` each.
         """
-        told = ((held >= FIRST_VALUE) & self._constrains)[..., None, :]
-        misses = told & (self._values != held[..., None, :])
-        differs = misses & self.has & ~self.minor
+        told = (held >= FIRST_VALUE) & self._constrains
+        is_implied = (told[..., None] & self.determines).any(-2)
+        equal = self._values == held[..., None, :]
+        is_place = self._is_place & ~is_implied & equal.any(-2)
+        misses = told[..., None, :] & ~equal
+        differs = misses & (self._contradicts | (is_place[..., None, :] & self._is_placed))
         return differs, misses & ~differs
 
     def _distances(self, differs: Tensor, lacks: Tensor) -> Tensor:
@@ -170,16 +176,17 @@ class Records:
         far, nowhere = (part & self.lasting for part in others)
         cost = (differs * self._costs).sum(-1) + torch.where(absent > 1, 1e4, 10.0) * absent
         cost += _EACH * self._is_vague  # "after work" only if nothing else is as near
-        cost += (lacks & self.minor).sum(-1)
+        cost += _EACH / 2 * (lacks & self.minor).sum(-1)
         cost += _PLACE * ((far & self._is_place).any(-1) + 1.2 * nowhere.any(-1))
         cost += _PLACE / 2 * (~self.has[:, list(asked)]).sum(-1)
         for number, days in self._days.items():
             is_near = differs[:, number] & (days[self._values[:, number]] == days[held[number]])
             cost -= is_near * _EACH
         for number, minutes in self._minutes.items():
-            away = minutes[self._values[:, number]] - minutes[held[number]]
+            wish = self.vocabulary[number][held[number]]
+            away = minutes[self._values[:, number]] - about_minutes(wish)
             cost += torch.where(differs[:, number], (away.abs() / 1_440).nan_to_num(1.0), 0.0)
-            if slot == number and direction:
+            if slot == number and direction and not minutes[held[number]].isnan():
                 cost += torch.where(away * direction > 0, 0.0, torch.inf)
         is_out = ~differs.any(-1) if slot is None else ~differs[:, slot]
         if stays is not None:

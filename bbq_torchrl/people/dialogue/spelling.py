@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from math import inf
 from typing import TYPE_CHECKING
@@ -23,6 +24,7 @@ _RESERVED = frozenset(fold(text) for text in RESERVED_TEXT.values())
 _LATER = PART_WORDS - {"morning"} | {"tonight"}
 _SPANS = {"at": (0, 0), "around": (-60, 60), "after": (0, inf), "before": (-inf, 0)}  # minutes
 _CLOSE = 0.8  # the score of a name that fits
+_PART = re.compile(r"\b(morning|afternoon|evening) (?:show|screening|session|time|slot|one)")
 _CLOCK = 4  # words of a time: "half past eleven"
 
 
@@ -89,6 +91,10 @@ class Spelling:
         """
         found: dict[str, str] = {}
         names = [*unclear]
+        if part := _PART.search(text.lower()):  # "evening shows"
+            times = (slot for slot, kind in self.lexicon.kinds.items() if kind == "time")
+            links = {slot: self.lexicon.link(slot, f"in the {part[1]}") for slot in times}
+            values = {s: one.values[0] for s, one in links.items() if one.is_exact} | {**values}
         for slot, value in self.of(values).items():
             options = self._options(text, slot, value, informed.get(slot))
             if len(options) == 1 and self._has(slot, options[0]):

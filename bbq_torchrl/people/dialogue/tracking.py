@@ -235,6 +235,11 @@ class Acting:
             return self._control.remember(heard.replace(**own))
         heard = self._tracking.hear(state, understood)
         told = heard["user_informs"]
+        is_open = told < FIRST_VALUE  # who tells a value asks for it no more
+        heard = heard.replace(
+            heard_requests=heard["heard_requests"] & is_open,
+            open_requests=heard["open_requests"] & is_open,
+        )
         is_known = ((told == NONE) | (told == full(state))).all()
         return self._control.remember(heard.replace(offered=state["offered"] & is_known))
 

@@ -161,6 +161,8 @@ class WaysOut:
         lexicon, named_values = self._lexicon, moves.named_values
         stays = moves.named_slots(moves.same(wanted), lexicon)
         who = [self._holder] * moves.says(wanted, "holder")
+        if question is not None and moves.says(wanted, "listed"):
+            return [*question.requests], []
         slots = who or [s for s in moves.named_slots(wanted, lexicon) if s not in stays]
         slots = slots or named_values(" ".join(other), told, lexicon)
         stays += named_values(wanted, told, lexicon)

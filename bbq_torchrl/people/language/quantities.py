@@ -137,6 +137,7 @@ RELATION_WORDS = frozenset(
 
 _BEFORE_NOON = frozenset(("am", "a.m", "a.m.", "morning"))
 _AFTER_NOON = frozenset(("pm", "p.m", "p.m.", "afternoon", "evening", "night", "tonight"))
+_HOURS = {"morning": 10, "matinee": 14, "afternoon": 15, "evening": 19, "tonight": 19, "night": 21}
 _NAMED_TIMES = {"noon": "12:00", "midday": "12:00", "midnight": "00:00"}
 _RELATION = re.compile(
     rf"(?:(?:{'|'.join(ENGLISH['before_relations'].split())}) )*"
@@ -192,6 +193,19 @@ def minutes_of(text: str) -> float:
         return math.nan
     hour, minute = read.removeprefix("at ").split(":")
     return 60.0 * int(hour) + int(minute)
+
+
+def about_minutes(text: str) -> float:
+    """Returns the minutes from midnight near a time or a part of the day; NaN of neither.
+
+    Examples:
+        >>> [about_minutes(text) / 60 for text in ("at 7 pm", "after 6pm", "in the evening")]
+        [19.0, 19.0, 19.0]
+    """
+    if read := read_time(text):
+        relation, clock = read.split()
+        return minutes_of(clock) + {"after": 60, "before": -60}.get(relation, 0)
+    return next((60.0 * _HOURS[word] for word in tokenize(text) if word in _HOURS), math.nan)
 
 
 def day_of(text: str) -> str:

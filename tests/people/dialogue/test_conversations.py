@@ -125,6 +125,13 @@ def test_who_asks_for_others_than_the_offered_gets_them_and_the_offer_stands(par
         assert not answer.ended
 
 
+def test_a_question_beside_another_name_is_about_that(partner, offer):
+    for text in TEXTS["named"]:
+        answer = said(partner, offer, text)
+        assert offer.answered.informs["theater"] not in answer.text.lower(), text
+        assert "moviename" in answer.understood.informs, text
+
+
 def test_what_is_proposed_beside_an_offer_is_not_booked_as_the_offer(partner, offer):
     before = said(partner, offer, "anything later than that?")
     assert before.memory.proposal.keys() == {"starttime"}

@@ -61,6 +61,27 @@ def test_a_record_of_absent_values_contradicts_and_offers_nothing(kept, movie):
     assert not records.is_listed(movie.slots.index("city"))
 
 
+def test_a_record_of_a_known_place_is_in_no_other_state(spelling):
+    domain, rows = tensorize(spelling.domain), spelling.domain.records
+    records, coding = Records(domain), Coding(domain)
+    place = {"state": "ca"}
+    row = next(n for n, r in enumerate(rows) if "city" in r and "state" not in r)
+    for told, is_elsewhere in ((place, True), ({**place, "city": rows[row]["city"]}, False)):
+        differs, _ = records.compare(torch.tensor(coding.ids(told)))
+        assert bool(differs[row].any()) == is_elsewhere
+
+
+def test_a_time_is_near_a_part_of_the_day(kept, movie):
+    time = movie.slots.index("starttime")
+    noon, other = (
+        {**WONKA, "starttime": "noon"},
+        {"moviename": "nope", "starttime": "in the evening"},
+    )
+    records, ids = kept(noon, WONKA, other)
+    held = ids(moviename="wonka", city="reno", starttime="in the evening")
+    assert records.vocabulary[time][records.nearest(held)[time]] == "6:30 pm"
+
+
 def test_what_no_record_has_is_in_the_way_whatever_the_others(kept):
     records, ids = kept(WONKA, {**WONKA, "moviename": "barbie", "genre": "horror"})
     held = ids(moviename="nope", city="newark")
