@@ -106,19 +106,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _refuse_invalid(cell, to_train=not given.page)
     given.folder.mkdir(parents=True, exist_ok=True)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
-    reasons = {}
     try:
         for number, cell in enumerate([] if given.page else cells, 1):
             interruption.check()
             _LOG.info("cell %d of %d: %s", number, len(cells), cell.name)
-            reasons[cell.name] = play(cell)
+            play(cell)
     except interruption.Interrupted:
         output.print_error(interruption.line())
         return interruption.exit_code()
     missing = [
-        f"{cell.name} ({reasons.get(cell.name) or cell.failure or 'not trained'})"
-        for cell in cells
-        if not cell.is_played
+        f"{cell.name} ({cell.failure or 'not trained'})" for cell in cells if not cell.is_played
     ]
     trained = [item for item in arguments if item != "--page"]
     report = _write(given, shlex.join(["bbq", "bench", *trained]), cells, missing)
@@ -271,8 +268,8 @@ def _refuse_invalid(cell: Cell, *, to_train: bool) -> None:
         raise ConfigError(f"{cell.name}: {sentence(error)}") from error
 
 
-def play(cell: Cell) -> str:
-    """Trains a cell and plays its goals again and again. Returns why it could not; else empty.
+def play(cell: Cell) -> None:
+    """Trains a cell, unless another process does, and plays its goals again and again.
 
     An error is kept in the cell's folder, so that the same command does not train the cell again.
     An OSError, such as a full disk, ends the bench.
@@ -284,7 +281,7 @@ def play(cell: Cell) -> str:
     try:
         with run_lock(cell.folder):
             if cell.failure:
-                return cell.failure
+                return
             config = restarted_config(cell.config, cell.folder)
             try:
                 if not is_finished(cell.folder, config.protocol.rounds):
@@ -299,10 +296,8 @@ def play(cell: Cell) -> str:
                 _LOG.error("%s failed: %s", cell.name, reason, exc_info=not is_known)
                 if cell.folder.is_dir():  # it may have been moved
                     write_text(cell.folder / _FAILED, reason)
-                return reason
     except ConfigError as error:  # another process at work in the folder
-        return sentence(error)
-    return ""
+        _LOG.warning("%s: %s", cell.name, sentence(error))
 
 
 def goal_plays(cell: Cell) -> dict[str, Any]:

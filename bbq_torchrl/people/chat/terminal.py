@@ -150,10 +150,8 @@ class Chat:
         self._say(f"the agent's act: {answer.answered}")
         if answer.control:
             self._say(f"its first choice was kept back by the rules {', '.join(answer.control)}")
-        agent, observation = (
-            self._partner.agent,
-            self._partner.observe(turn.memory, answer.understood),
-        )
+        agent = self._partner.agent
+        observation = self._partner.observe(turn.memory, answer.understood)
         beliefs = agent.beliefs(observation, turn.seed)
         if beliefs is None:
             values = agent.values(observation, turn.seed).items()
@@ -245,12 +243,10 @@ def console() -> Any:
 def prompt() -> Callable[[], str | None]:
     """Returns a reader of lines at a terminal, with history and completion of commands."""
     toolkit = needed("prompt_toolkit", "prompt_toolkit", "chat")
-    completion = needed("prompt_toolkit", "prompt_toolkit.completion", "chat")
-    shortcuts = needed("prompt_toolkit", "prompt_toolkit.shortcuts", "chat")
     session = toolkit.PromptSession(
-        completer=completion.WordCompleter(list(COMMANDS), sentence=True),
+        completer=toolkit.completion.WordCompleter(list(COMMANDS), sentence=True),
         # Tab completes as in a shell: a menu would keep empty lines below each prompt.
-        complete_style=shortcuts.CompleteStyle.READLINE_LIKE,
+        complete_style=toolkit.shortcuts.CompleteStyle.READLINE_LIKE,
         complete_while_typing=False,
     )
 

@@ -32,11 +32,6 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain
 
 _TOKEN = re.compile(r"[\[\]|]|\{\w*\}|<\w+>|[^\[\]|{}<>]+|.", re.DOTALL)
-_DEEPEST = 20
-
-
-class TemplateError(ValueError):
-    """A phrase that cannot be parsed."""
 
 
 class Piece(NamedTuple):
@@ -80,42 +75,33 @@ def parse(text: str, own: str = "") -> Template:
     """Returns the phrase parsed from ``text``; ``{}`` is the value of the slot ``own``.
 
     Raises:
-        TemplateError: if a bracket is not closed, or opened.
+        ValueError: if a bracket is not closed, or opened.
     """
     tokens = iter(_TOKEN.findall(text))
-    fault = TemplateError(
-        f"a phrase must close what it opens, and choose in [a|b], got {shown(text)}"
-    )
 
-    def options(depth: int) -> tuple[Template, ...]:
+    def options(*, is_inner: bool) -> tuple[Template, ...]:
         """Returns the phrases up to the bracket that closes them, or to the end."""
-        if depth > _DEEPEST:
-            raise TemplateError(f"a phrase must not be nested deeper than {_DEEPEST}")
-        found: list[Template] = []
-        parts: list[_Part] = []
+        found: list[list[_Part]] = [[]]
+        token = ""
         for token in tokens:
             if token == "|":
-                found.append(Template(tuple(parts)))
-                parts = []
+                found.append([])
             elif token == "[":
-                parts.append(options(depth + 1))
-            elif token == "]" and depth:
+                found[-1].append(options(is_inner=True))
+            elif token == "]" and is_inner:
                 break
             elif len(token) > 1 and token[0] in "{<":
-                parts.append(_Name(token if token[0] == "<" else token[1:-1] or own))
-            elif token in "]{}<>":
-                raise fault
+                found[-1].append(_Name(token if token[0] == "<" else token[1:-1] or own))
             else:
-                parts.append(token)
-        else:
-            if depth:
-                raise fault
-        return (*found, Template(tuple(parts)))
+                found[-1].append(token)
+        is_whole = token == "]" if is_inner else len(found) == 1
+        if not is_whole or any(part in [*"]{}<>"] for parts in found for part in parts):
+            raise ValueError(
+                f"a phrase must close what it opens, and choose in [a|b], got {shown(text)}"
+            )
+        return tuple(Template(tuple(parts)) for parts in found)
 
-    read = options(0)
-    if len(read) != 1:
-        raise fault
-    return read[0]
+    return options(is_inner=False)[0]
 
 
 def is_possible(
@@ -393,7 +379,7 @@ class _Reader:
         for text in self._texts(where, content):
             try:
                 templates.append(parse(text, own))
-            except TemplateError as error:
+            except ValueError as error:
                 self.faults.append(f"{where}: {error}")
         for name in dict.fromkeys(name for text in templates for name in text.names()):
             kind, known = ("rule", self._rules) if name[:1] == "<" else ("slot", self._domain.slots)
