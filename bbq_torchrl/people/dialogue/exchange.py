@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import torch
 from tensordict import TensorDict
 
+from bbq_torchrl.domains.values import RESERVED_TEXT
 from bbq_torchrl.people.language import Frame, Understood
 from bbq_torchrl.people.language.asking import Asking
 
@@ -87,3 +88,9 @@ class Answer:
     acted: bool = False
     ended: str = ""
     control: tuple[str, ...] = ()
+
+
+def values_of(of: Frame | Mapping[str, str]) -> dict[str, str]:
+    """Returns the values of a frame or of the tracker, without reserved ones."""
+    informs = of.informs if isinstance(of, Frame) else of
+    return {slot: value for slot, value in informs.items() if value not in RESERVED_TEXT.values()}

@@ -7,11 +7,11 @@ from itertools import product
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.domains.frames import ANY
-from bbq_torchrl.domains.values import RESERVED_TEXT, fold
+from bbq_torchrl.domains.values import fold
 from bbq_torchrl.people.dialogue import moves
+from bbq_torchrl.people.dialogue.accepting import Accepting
 from bbq_torchrl.people.dialogue.control import Control
-from bbq_torchrl.people.dialogue.exchange import Answer, Memory
+from bbq_torchrl.people.dialogue.exchange import Answer, Memory, values_of
 from bbq_torchrl.people.dialogue.hearing import DOUBTFUL, Hearing
 from bbq_torchrl.people.dialogue.questions import Questions, Told
 from bbq_torchrl.people.dialogue.spelling import Spelling
@@ -23,7 +23,7 @@ from bbq_torchrl.people.language.words import is_no
 from bbq_torchrl.simulator import Simulator
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable
 
     import torch
     from tensordict import TensorDict
@@ -86,6 +86,9 @@ class Partner:
         self._hear = Hearing(nlu, self._spelling, self.control.rules)
         self._questions = Questions(self._spelling, self._hear, nlg)
         self._acting = Acting(agent, self._tracking, self.control)
+        self._accepting = Accepting(
+            self._spelling, self._hear, self._tracking, self._acting, self.control
+        )
         self._ways_out = WaysOut(
             self._spelling, self._tracking, self.control.records, nlg, self._acting.place
         )
@@ -158,13 +161,13 @@ class Partner:
         question = self._question(before)
         rules = self.control.rules
         reading = self._hear.leaving(reading, text, before.is_offered)
-        is_wish = bool(_values(reading.frame)) and not moves.says(text, "question")
+        is_wish = bool(values_of(reading.frame)) and not moves.says(text, "question")
         others = "way_out" in rules and bool(moves.others(text)) and not is_wish
         held = self._tracking.kept(before.state)
         if "way_out" in rules:
             reading = self._ways_out.narrowed(reading, held)
         is_said = (
-            bool(before.proposal) or before.is_offered or others or bool(_values(reading.frame))
+            bool(before.proposal) or before.is_offered or others or bool(values_of(reading.frame))
         )
         if "drop" in rules and is_said:
             reading, refused = self._hear.refused(reading, held)
@@ -176,10 +179,10 @@ class Partner:
                 again = Understood(Frame("not_sure"), 0.0)
                 now = replace(now, asking=Asking(before.asking.times))
                 return self._ask_again(now, again, self._nlg.clarify(again, **words))
-            reading = self._confirmed(before, reading, text)
+            reading = self._accepting.checked(before, reading, text)
         elif before.proposal:
             asks_others = others and moves.says(text, "question")
-            if not asks_others and (taken := self._taken(before, reading, text)):
+            if not asks_others and (taken := self._accepting.proposed(before, reading, text)):
                 reading, others = taken, False
                 now = replace(now, proposal={})
             elif is_no_more and not others:
@@ -188,7 +191,7 @@ class Partner:
                 # A yes to what is proposed books nothing that was offered before.
                 return self._say(now, self._nlg.say("stands", **words), reading)
         elif before.is_offered and "yes_ends" in rules and not others:
-            reading, is_booked = self._to_offer(before, reading, text, asks)
+            reading, is_booked = self._accepting.offered(before, reading, text, asks)
             if reading.frame.act == "not_sure" and not reading.unclear:
                 return self._say(now, self._nlg.say("stands", **words), reading)
         elif "book" in rules and moves.accepts(text) and self._hear.is_bare(reading.frame):
@@ -198,7 +201,7 @@ class Partner:
             held |= before.asking.waiting.informs if before.asking.waiting else {}
             reading, dropped = self._hear.dropped(reading, text, question, held)
         if others and not dropped:
-            joined = _values(before.asking.joined(reading.frame))
+            joined = values_of(before.asking.joined(reading.frame))
             told = {k: value for k, value in joined.items() if not moves.others(value)}
             state = self._acting.hear(before.state, Frame("inform", told))
             found = self._ways_out.others(replace(now, state=state), reading, text, question, words)
@@ -215,7 +218,7 @@ class Partner:
             is_question = "help" in rules and moves.says(text, "question") and "?" in text
             if is_question and not reading.unclear and self._hear.is_bare(reading.frame):
                 return self._say(now, self._nlg.say("unknown_question", **words), reading)
-            values = _values(understood)
+            values = values_of(understood)
             if reading.unclear or not values or "confirm" not in rules:
                 return self._ask_again(now, reading, self._nlg.clarify(reading, **words))
             is_plain = self._spelling.is_named(text, values) and is_answered
@@ -244,7 +247,7 @@ class Partner:
             answer = _led(answer, self._nlg.say("no_promise", values=absent, **words))
         if is_unsure and (news := self._unsaid(before, understood, answer)):
             answer = _led(answer, self._nlg.say("understood", values=news, **words))
-        is_found = answer.acted and not answer.memory.proposal and bool(_values(understood))
+        is_found = answer.acted and not answer.memory.proposal and bool(values_of(understood))
         if is_any and is_found and not (asked or absent):
             answer = _led(answer, self._nlg.say("yes", **words))
         return answer
@@ -252,7 +255,9 @@ class Partner:
     def _elsewhere(self, before: Memory, rest: str) -> dict[str, str]:
         """Returns the values by which the rest of a text names another record, to ask about it."""
         reading, record = self._hear(rest, None), self._ways_out.nearest(before)
-        named = {s: v for s, v in _values(reading.frame).items() if s not in self.domain.free_slots}
+        named = {
+            s: v for s, v in values_of(reading.frame).items() if s not in self.domain.free_slots
+        }
         is_sure = not self._nlu.asks(reading) or self._spelling.is_named(rest, named)
         is_other = any(record.get(slot, value) != value for slot, value in named.items())
         return named if is_sure and is_other and not moves.asks_whether_any(rest) else {}
@@ -281,108 +286,9 @@ class Partner:
         known, said = {**held, **before.proposal}, fold(answer.text)
         return {
             slot: value
-            for slot, value in _values(understood).items()
+            for slot, value in values_of(understood).items()
             if known.get(slot) != value and fold(value) not in said
         }
-
-    def _beside_yes(
-        self, before: Memory, text: str, values: Mapping[str, str]
-    ) -> Understood | None:
-        """Returns the meaning of what a text says beside a yes; ``None`` without a yes.
-
-        Args:
-            before: the memory before the text.
-            text: the person's text.
-            values: what the yes is about; to name one of them again adds nothing.
-        """
-        rest, lexicon = moves.beside_yes(text), self._spelling.lexicon
-        if rest is None:
-            return None
-        name = rest.strip(" .,!")
-        if not name or any(
-            value in (link := lexicon.link(slot, name)).values and link.score > 0.8
-            for slot, value in values.items()
-            if slot in lexicon.slots
-        ):
-            return Understood(Frame("inform"), 1.0)
-        said = None if before.state is None else self._tracking.answered(before.state)
-        return self._hear(rest, said)
-
-    def _confirmed(self, before: Memory, reading: Understood, text: str) -> Understood:
-        """Returns the meaning of a text after "..., is that right?"."""
-        waiting = before.asking.waiting
-        assert waiting is not None
-        beside = self._beside_yes(before, text, waiting.informs)
-        if self._hear.is_bare(reading.frame) and reading.frame.act in ("confirm_answer", "thanks"):
-            beside = beside or Understood(Frame("inform"), 1.0)
-        if beside is None:
-            return reading
-        if self._hear.is_bare(beside.frame) and not beside.unclear:
-            return replace(reading, frame=waiting, confidence=1.0, unclear=())
-        return replace(beside, confidence=max(beside.confidence, DOUBTFUL))
-
-    def _taken(self, before: Memory, reading: Understood, text: str) -> Understood | None:
-        """Returns the meaning of a text that takes a proposal, by a yes or by naming its values.
-
-        What else the text says is told, or asked of that record.
-        """
-        proposal = before.proposal
-        beside = self._beside_yes(before, text, proposal)
-        said = beside or reading
-        own = {
-            fold(value): slot for slot, value in proposal.items()
-        }  # "tonight" is a date, or a time
-        told = {own.get(fold(value), slot): value for slot, value in _values(said.frame).items()}
-        requests = said.frame.requests
-        if any(proposal.get(slot, value) != value for slot, value in told.items()):
-            return None
-        if beside is None:
-            is_named = bool(told) and not said.unclear
-            is_named |= self._hear.is_bare(reading.frame, "confirm_answer", "thanks")
-            if not is_named or moves.says(text, "no"):
-                return None
-        frame = Frame("request" if requests else "inform", {**proposal, **told}, requests)
-        return replace(said, frame=frame, confidence=max(said.confidence, DOUBTFUL))
-
-    def _to_offer(
-        self, before: Memory, reading: Understood, text: str, asks: bool
-    ) -> tuple[Understood, bool]:
-        """Returns the meaning of a reply to an offer, and whether it is a yes that adds values.
-
-        It is "thanks" if it accepts and says nothing else, and "not sure" if it neither accepts nor
-        says anything that can be acted on.
-        """
-        frame = reading.frame
-        assert before.state is not None
-        offer = self._tracking.kept(before.state)
-        beside = self._beside_yes(before, text, offer)
-        rest = moves.beside_yes(text)
-        if rest == "":
-            return Understood(Frame("thanks"), 1.0, source=reading.source), False
-        is_plain = frame.act != "deny" and ANY not in frame.informs.values()
-        if is_plain and moves.books(text) and not reading.unclear:
-            beside = replace(reading, confidence=1.0)
-        if beside is not None and not asks and not moves.says(rest or text, "hesitates"):
-            told = _values(beside.frame)
-            is_repeated = told.items() <= offer.items()
-            says_yes = beside.frame.act in ("confirm_answer", "thanks")  # "sonds good, yes"
-            if is_repeated and (told or says_yes or beside.confidence == 1.0):
-                return Understood(Frame("thanks"), 1.0, source=reading.source), False
-            fits = all(offer.get(slot, value) == value for slot, value in told.items())
-            asked = {*beside.frame.requests} - {self.domain.ticket_slot}
-            is_sure = not (asked or self._nlu.asks(beside)) and beside.frame.act != "deny"
-            if told and fits and is_sure:
-                added = replace(beside, frame=Frame("inform", told))
-                stuck = self.control.is_stuck(self._acting.hear(before.state, added.frame))
-                return added, not stuck
-        if is_no(text):
-            return replace(reading, frame=Frame("deny"), confidence=1.0, unclear=()), False
-        is_bare = self._hear.is_bare
-        is_vague = is_bare(frame) and frame.act not in ("deny", "closing")
-        is_vague = is_vague or (is_bare(frame, "deny") and (asks or moves.says(text, "hesitates")))
-        if not is_vague:
-            return reading, False
-        return replace(reading, frame=Frame("not_sure")), False
 
     def _act(
         self,
@@ -417,7 +323,7 @@ class Partner:
         acted = reply(before, understood, words["session"], self._ways_out.refused(now))
         answered, now = acted.answered, replace(now, state=acted.state, proposal={}, times=0)
         if is_denied and bool(acted.state["offered"]):
-            names = list(_values(self._tracking.kept(acted.state)))[:_MAX_NAMED]
+            names = list(values_of(self._tracking.kept(acted.state)))[:_MAX_NAMED]
             return self._say(now, self._nlg.say("change", names, **words), reading)
         ended = "agent" if answered.act in ("thanks", "closing") else ""
         sentences = [self._nlg.agent(act, kept, **words) for act, kept in acted.parts]
@@ -435,7 +341,7 @@ class Partner:
         A value that no record has with the others is that of another slot, if a record has all of
         them then: "tonight" is a date, or a time.
         """
-        lexicon, informs = self._spelling.lexicon, _values(understood)
+        lexicon, informs = self._spelling.lexicon, values_of(understood)
         state = self._acting.hear(before, understood)
         distance = self.control.records.best(full(state))[2]
         others = product(informs.items(), lexicon.slots if distance else ())
@@ -479,9 +385,3 @@ class Partner:
 def _led(answer: Answer, sentence: str) -> Answer:
     """Returns an answer that begins with another sentence."""
     return replace(answer, text=f"{sentence} {answer.text}")
-
-
-def _values(of: Frame | Mapping[str, str]) -> dict[str, str]:
-    """Returns the values of a frame or of the tracker, without reserved ones."""
-    informs = of.informs if isinstance(of, Frame) else of
-    return {slot: value for slot, value in informs.items() if value not in RESERVED_TEXT.values()}

@@ -1,0 +1,162 @@
+"""What a text means after a check, a proposal or an offer: a yes, alone or beside more."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from bbq_torchrl.domains.frames import ANY
+from bbq_torchrl.domains.values import fold
+from bbq_torchrl.people.dialogue import moves
+from bbq_torchrl.people.dialogue.exchange import values_of
+from bbq_torchrl.people.dialogue.hearing import DOUBTFUL
+from bbq_torchrl.people.language import Frame, Understood
+from bbq_torchrl.people.language.words import is_no
+
+if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    from bbq_torchrl.people.dialogue.control import Control
+    from bbq_torchrl.people.dialogue.exchange import Memory
+    from bbq_torchrl.people.dialogue.hearing import Hearing
+    from bbq_torchrl.people.dialogue.spelling import Spelling
+    from bbq_torchrl.people.dialogue.tracking import Acting, Tracking
+
+
+class Accepting:
+    """Reads the replies to what the agent checks, proposes or offers.
+
+    Args:
+        spelling: the spelling of values.
+        hear: the reading of texts.
+        tracking: the agent's knowledge.
+        acting: the agent's acts.
+        control: the rules of the dialogue control.
+    """
+
+    def __init__(
+        self,
+        spelling: Spelling,
+        hear: Hearing,
+        tracking: Tracking,
+        acting: Acting,
+        control: Control,
+    ) -> None:
+        self._lexicon, self._hear, self._tracking = spelling.lexicon, hear, tracking
+        self._acting, self._control = acting, control
+        self._ticket = spelling.domain.ticket_slot
+
+    def checked(self, before: Memory, reading: Understood, text: str) -> Understood:
+        """Returns the meaning of a text after "..., is that right?".
+
+        Args:
+            before: the memory before the text.
+            reading: the meaning of the text.
+            text: the person's text.
+        """
+        waiting = before.asking.waiting
+        assert waiting is not None
+        beside = self._beside_yes(before, text, waiting.informs)
+        if self._hear.is_bare(reading.frame) and reading.frame.act in ("confirm_answer", "thanks"):
+            beside = beside or Understood(Frame("inform"), 1.0)
+        if beside is None:
+            return reading
+        if self._hear.is_bare(beside.frame) and not beside.unclear:
+            return replace(reading, frame=waiting, confidence=1.0, unclear=())
+        return replace(beside, confidence=max(beside.confidence, DOUBTFUL))
+
+    def proposed(self, before: Memory, reading: Understood, text: str) -> Understood | None:
+        """Returns the meaning of a text that takes a proposal, by a yes or by naming its values.
+
+        What else the text says is told, or asked of that record. ``None`` if it does not take it.
+
+        Args:
+            before: the memory before the text.
+            reading: the meaning of the text.
+            text: the person's text.
+        """
+        proposal = before.proposal
+        beside = self._beside_yes(before, text, proposal)
+        said = beside or reading
+        # "tonight" is a date, or a time.
+        own = {fold(value): slot for slot, value in proposal.items()}
+        told = {own.get(fold(value), slot): value for slot, value in values_of(said.frame).items()}
+        requests = said.frame.requests
+        if any(proposal.get(slot, value) != value for slot, value in told.items()):
+            return None
+        if beside is None:
+            is_named = bool(told) and not said.unclear
+            is_named |= self._hear.is_bare(reading.frame, "confirm_answer", "thanks")
+            if not is_named or moves.says(text, "no"):
+                return None
+        frame = Frame("request" if requests else "inform", {**proposal, **told}, requests)
+        return replace(said, frame=frame, confidence=max(said.confidence, DOUBTFUL))
+
+    def offered(
+        self, before: Memory, reading: Understood, text: str, asks: bool
+    ) -> tuple[Understood, bool]:
+        """Returns the meaning of a reply to an offer, and whether it is a yes that adds values.
+
+        It is "thanks" if it accepts and says nothing else, and "not sure" if it neither accepts nor
+        says anything that can be acted on.
+
+        Args:
+            before: the memory before the text.
+            reading: the meaning of the text.
+            text: the person's text.
+            asks: whether the whole text asks something.
+        """
+        frame = reading.frame
+        assert before.state is not None
+        offer = self._tracking.kept(before.state)
+        beside = self._beside_yes(before, text, offer)
+        rest = moves.beside_yes(text)
+        if rest == "":
+            return Understood(Frame("thanks"), 1.0, source=reading.source), False
+        is_plain = frame.act != "deny" and ANY not in frame.informs.values()
+        if is_plain and moves.books(text) and not reading.unclear:
+            beside = replace(reading, confidence=1.0)
+        if beside is not None and not asks and not moves.says(rest or text, "hesitates"):
+            told = values_of(beside.frame)
+            is_repeated = told.items() <= offer.items()
+            says_yes = beside.frame.act in ("confirm_answer", "thanks")  # "sonds good, yes"
+            if is_repeated and (told or says_yes or beside.confidence == 1.0):
+                return Understood(Frame("thanks"), 1.0, source=reading.source), False
+            fits = all(offer.get(slot, value) == value for slot, value in told.items())
+            asked = {*beside.frame.requests} - {self._ticket}
+            is_sure = not (asked or self._hear.is_unsure(beside)) and beside.frame.act != "deny"
+            if told and fits and is_sure:
+                added = replace(beside, frame=Frame("inform", told))
+                stuck = self._control.is_stuck(self._acting.hear(before.state, added.frame))
+                return added, not stuck
+        if is_no(text):
+            return replace(reading, frame=Frame("deny"), confidence=1.0, unclear=()), False
+        is_bare = self._hear.is_bare
+        is_vague = is_bare(frame) and frame.act not in ("deny", "closing")
+        is_vague = is_vague or (is_bare(frame, "deny") and (asks or moves.says(text, "hesitates")))
+        if not is_vague:
+            return reading, False
+        return replace(reading, frame=Frame("not_sure")), False
+
+    def _beside_yes(
+        self, before: Memory, text: str, values: Mapping[str, str]
+    ) -> Understood | None:
+        """Returns the meaning of what a text says beside a yes; ``None`` without a yes.
+
+        Args:
+            before: the memory before the text.
+            text: the person's text.
+            values: what the yes is about; to name one of them again adds nothing.
+        """
+        rest, lexicon = moves.beside_yes(text), self._lexicon
+        if rest is None:
+            return None
+        name = rest.strip(" .,!")
+        if not name or any(
+            value in (link := lexicon.link(slot, name)).values and link.score > 0.8
+            for slot, value in values.items()
+            if slot in lexicon.slots
+        ):
+            return Understood(Frame("inform"), 1.0)
+        said = None if before.state is None else self._tracking.answered(before.state)
+        return self._hear(rest, said)
