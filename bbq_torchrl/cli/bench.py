@@ -106,14 +106,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         _refuse_invalid(cell, to_train=not given.page)
     given.folder.mkdir(parents=True, exist_ok=True)
     logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
-    try:
-        for number, cell in enumerate([] if given.page else cells, 1):
-            interruption.check()
-            _LOG.info("cell %d of %d: %s", number, len(cells), cell.name)
-            play(cell)
-    except interruption.Interrupted:
-        output.print_error(interruption.line())
-        return interruption.exit_code()
+    for number, cell in enumerate([] if given.page else cells, 1):
+        interruption.check()
+        _LOG.info("cell %d of %d: %s", number, len(cells), cell.name)
+        play(cell)
     missing = [
         f"{cell.name} ({cell.failure or 'not trained'})" for cell in cells if not cell.is_played
     ]

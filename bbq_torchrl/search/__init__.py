@@ -63,9 +63,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         logging.basicConfig(level=logging.INFO, format="%(asctime)s %(message)s")
         optuna.logging.set_verbosity(optuna.logging.ERROR)
         best = run_search(search, run, check_resources)
-    except interruption.Interrupted:
-        output.print_error(interruption.line())
-        return interruption.exit_code()
     except (OmegaConfBaseException, YAMLError, optuna.exceptions.StorageInternalError) as error:
         raise ConfigError(sentence(error)) from error
     if best is None:

@@ -21,6 +21,7 @@ from io import TextIOWrapper
 from pathlib import Path
 from typing import Any, ParamSpec, TextIO
 
+from bbq_torchrl.utils import interruption
 from bbq_torchrl.utils.text import sentence, shown
 
 _PACKAGE = Path(__file__).resolve().parent.parent
@@ -92,13 +93,19 @@ def refusals() -> Iterator[None]:
 
 
 def refusing(main: Callable[Given, int]) -> Callable[Given, int]:
-    """Decorates a command: :func:`refusals`, with the exit code returned."""
+    """Decorates a command: :func:`refusals`, with the exit code returned.
+
+    After a signal it prints the line of :mod:`~bbq_torchrl.utils.interruption`.
+    """
 
     @wraps(main)
     def refused(*args: Given.args, **kwargs: Given.kwargs) -> int:
         try:
             with refusals():
                 return main(*args, **kwargs)
+        except interruption.Interrupted:
+            print_error(interruption.line())
+            return interruption.exit_code()
         except SystemExit as end:
             if end.code != REFUSED:
                 raise
