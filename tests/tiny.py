@@ -2,15 +2,17 @@
 
 import copy
 import csv
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 
 import pytest
 from hydra.core.override_parser.overrides_parser import OverridesParser
+from hydra.errors import HydraException
 from omegaconf import OmegaConf, open_dict
+from omegaconf.errors import OmegaConfBaseException
 
 from bbq_torchrl.options import Config, schemas
-from bbq_torchrl.options.registry import EXPERIMENT
+from bbq_torchrl.options.registry import EXPERIMENT, options_folder
 from bbq_torchrl.runs.compose import compose_raw, key_of, session, to_config
 from bbq_torchrl.runs.prepare import final_config, prepare_run
 
@@ -34,27 +36,51 @@ TINY = (
 
 
 @cache
-def _with_options(chosen):
+def _of_options(chosen, root, known):
+    """Hydra's composition of options alone, of those that are known."""
     with session():
-        config = compose_raw(chosen)
+        config = compose_raw(chosen, root)
     with open_dict(config):
         del config["hydra"]
     return config
 
 
-_parsed = cache(lambda key: OverridesParser.create().parse_override(key))
+_parsed = cache(lambda item: OverridesParser.create().parse_override(item))
+
+
+def composed_raw(overrides, root=Config):
+    """Does what ``compose_raw`` does, but has Hydra compose the same options once in a process.
+
+    Values of keys are then set in a copy. All else goes the whole way, errors too.
+    """
+    groups = (*schemas(), EXPERIMENT)
+    chosen = tuple(item for item in overrides if key_of(item) in groups)
+    known = tuple(schema for options in schemas().values() for schema in options.values())
+    items = [_parsed(item) for item in overrides if item not in chosen and _is_value(item)]
+    if options_folder() is None and len(items) + len(chosen) == len(overrides):
+        config = copy.deepcopy(_of_options(chosen, root, known))
+        with suppress(OmegaConfBaseException):
+            for item in items:
+                OmegaConf.update(config, item.key_or_group, item.value())
+            return config
+    with session():
+        return compose_raw(overrides, root)
+
+
+@cache
+def _is_value(item):
+    """Whether an override only gives a key a value."""
+    try:
+        override = _parsed(item)
+    except HydraException:
+        return False
+    is_one = override.package is None and not override.is_sweep_override()
+    return is_one and not (override.is_add() or override.is_force_add() or override.is_delete())
 
 
 def composed(*overrides):
-    """The configuration of a command line, whose options Hydra composes once in a process."""
-    groups = (*schemas(), EXPERIMENT)
-    chosen = [item for item in overrides if key_of(item) in groups]
-    config = copy.deepcopy(_with_options(tuple(chosen)))
-    for item in overrides:
-        if item not in chosen:
-            key = _parsed(item)
-            OmegaConf.update(config, key.key_or_group, key.value())
-    return to_config(config, Config)
+    """The configuration of a command line."""
+    return to_config(composed_raw(overrides), Config)
 
 
 def prepared(*overrides):
@@ -66,8 +92,7 @@ def prepared(*overrides):
 
 def resumed(folder, *overrides):
     """The configuration that ``train.py resume=<folder>`` trains with."""
-    with session():
-        return final_config(compose_raw([f"resume={folder}", *overrides]), overrides)
+    return final_config(composed_raw([f"resume={folder}", *overrides]), overrides)
 
 
 @contextmanager

@@ -17,6 +17,7 @@ from tiny import TINY, rows, without_drawing
 from bbq_torchrl.cli import bench
 from bbq_torchrl.cli.evaluate import composed, evaluation
 from bbq_torchrl.runs import train
+from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.utils.statistics import binomial_standard_error, pass_k
 
 OWN = "own: agent=dqn explore=boltzmann"
@@ -49,6 +50,8 @@ def content(folder):
 @pytest.fixture(scope="module", autouse=True)
 def quick():
     """A goal is played no more often than pass^8 needs, and figures are empty files."""
+    for agent in ("agent=dqn", "+experiment=agents/dqn"):  # once, not in every child
+        compose([agent]), compose([agent, "domain=hotel"])
     with without_drawing(), pytest.MonkeyPatch.context() as patch:
         patch.setattr(bench, "PLAYS", 8)
         patch.setattr("bbq_torchrl.utils.reports.save", lambda figure, file: file.touch())

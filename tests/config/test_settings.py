@@ -6,7 +6,6 @@ import pytest
 import yaml
 
 from bbq_torchrl.options import schemas
-from bbq_torchrl.runs.prepare import table_of_runs
 from bbq_torchrl.settings import (
     POSITIVE,
     SEED,
@@ -97,11 +96,3 @@ def test_aliases_that_save_some_lines_and_long_texts_are_read():
     long = yaml.safe_dump({"values": list(range(5_000))})
     assert read_yaml(long)["values"][-1] == 4_999
     assert read_yaml("") is None
-
-
-@pytest.mark.parametrize("noted", ["[", "a: 1", "- [1]", "3"])
-def test_a_sweep_is_shown_whatever_its_overrides_hold(tmp_path, noted):
-    (tmp_path / "0" / ".hydra").mkdir(parents=True)
-    (tmp_path / "0" / "config.yaml").write_text("seed: 0\n")
-    (tmp_path / "0" / ".hydra" / "overrides.yaml").write_text(noted)
-    assert table_of_runs(tmp_path)[0].splitlines()[-1].split()[1] == "0"

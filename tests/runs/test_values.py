@@ -88,26 +88,20 @@ def test_a_replica_trains_bitwise_as_where_all_have_its_value(case, tmp_path):
 
 
 @pytest.mark.parametrize("agent", nightly(["bbqn", "bootstrap", "dqn"], ["bbqn"]))
-def test_a_replica_that_diverges_leaves_the_others_alone(agent, tmp_path):
-    configs = [
-        composed(f"agent={agent} replicas=2 protocol.rounds=3", {"agent.lr": [1e-3, other]})
-        for other in (1e30, 1e-3)
-    ]
-    weights, expected = trained(configs[1], tmp_path / "sound")
-    trainer, _ = build_trainer(configs[0], tmp_path / "run", [lambda trainer, _: trainer.stop()])
+def test_a_replica_that_diverges_is_told_and_left_out_resumed_or_not(agent, tmp_path):
+    """tests/trainers/test_replicas.py shows that it leaves the others alone."""
+    config = composed(f"agent={agent} replicas=2", {"agent.lr": [1e-3, 1e30]})
+    trainer, _ = build_trainer(config, tmp_path / "run", [lambda trainer, _: trainer.stop()])
     trainer.train()
-    trainer, _ = build_trainer(configs[0], tmp_path / "run")
+    trainer, _ = build_trainer(config, tmp_path / "run")
     trainer.train(resume=True)
     assert trainer.learner.diverged == {1}
-    for one, other in zip(trainer.metrics.rows[::2], expected[::2], strict=True):
-        assert {key: one[key] for key in other} == other
-    mine = [parameter.detach()[0] for parameter in trainer.learner.optimizer.parameters]
-    assert_close(mine, [weight[0] for weight in weights], rtol=0, atol=0)
 
-    result = run(configs[0], tmp_path / "whole")
+    result = run(config, tmp_path / "whole")
     assert result == read_result(tmp_path / "whole")
     assert result.diverged == (1,)
     assert result.success_rate == result.per_replica[0].success_rate
+    assert rows(tmp_path / "whole" / "metrics.csv") == rows(tmp_path / "run" / "metrics.csv")
     assert [len(group.final) for group in read_groups([tmp_path / "whole"])] == [1]
 
 
