@@ -18,7 +18,7 @@ import pytest
 from tiny import composed, rows
 
 from bbq_torchrl.runs.folders import save_config
-from bbq_torchrl.search.definition import Search, compose_search
+from bbq_torchrl.search.definition import compose_search
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import TrainingError
 
@@ -72,17 +72,6 @@ class Training:
     @property
     def trials(self):
         return {trial for trial, _ in self.played}
-
-
-@pytest.fixture(autouse=True)
-def composed_once(monkeypatch):
-    """Composing takes longer than all else here, and is tested in tests/config."""
-
-    def config(self, values):
-        keys = (f"{key}={values[key]}" for key in ("agent.lr", "explore.eps_init"))
-        return composed("agent=dqn", f"protocol.rounds={ROUNDS}", *keys)
-
-    monkeypatch.setattr(Search, "config", config)
 
 
 def search(folder, *arguments, trials=4, of="dqn", training=None, **more):
