@@ -310,15 +310,15 @@ def play(
 
 def _frames(coding: Coding, states: TensorDict) -> list[tuple[Frame | None, Frame]]:
     """Returns the agent's act and the user's act in each of the states ``[B]``."""
-    users = _side(coding, states, "user_act", "meant_informs", "pending")
-    agents = _side(coding, states, "agent_act", "agent_informs", "agent_requests")
+
+    def side(*keys: str) -> list[Frame]:
+        columns = [states[key].tolist() for key in keys]
+        return [coding.frame(*row) for row in zip(*columns, strict=True)]
+
+    users = side("user_act", "meant_informs", "pending")
+    agents = side("agent_act", "agent_informs", "agent_requests")
+    acts = states["agent_act"].tolist()
     return [
         (None if act < 0 else agent, user)
-        for act, agent, user in zip(states["agent_act"].tolist(), agents, users, strict=True)
+        for act, agent, user in zip(acts, agents, users, strict=True)
     ]
-
-
-def _side(coding: Coding, states: TensorDict, *keys: str) -> list[Frame]:
-    """Returns one side's acts, from the keys of its act, values and questions."""
-    columns = [states[key].tolist() for key in keys]
-    return [coding.frame(*row) for row in zip(*columns, strict=True)]

@@ -331,12 +331,9 @@ class _Reader:
             where, content, ("name", "nouns", "kind", "aliases", "capitals", *fallback)
         )
         name = own.get("name", slot.replace("_", " "))
-        if fault := WORDS.fault(f"{where}.name", name):
-            self.faults.append(fault)
-            name = slot
-        kind = own.get("kind")
-        if fault := optional(one_of(*KINDS), "to find out").fault(f"{where}.kind", kind):
-            self.faults.append(fault)
+        name = self._allowed(f"{where}.name", name, WORDS, slot)
+        kinds = optional(one_of(*KINDS), "to find out")
+        kind = self._allowed(f"{where}.kind", own.get("kind"), kinds, None)
         aliases = {
             str(value): self._texts(f"{where}.aliases.{value}", texts)
             for value, texts in self._mapping(f"{where}.aliases", own.get("aliases", {})).items()
@@ -355,12 +352,17 @@ class _Reader:
             capitals = frozenset(self._texts(f"{where}.capitals", own["capitals"]))
         return SlotPhrases(name, nouns, kind, aliases, capitals, phrases)
 
+    def _allowed(self, where: str, content: Any, allowed: Allowed, other: Any) -> Any:
+        """Returns a content that is allowed, otherwise another one, and adds the fault."""
+        if (fault := allowed.fault(where, content)) is None:
+            return content
+        self.faults.append(fault)
+        return other
+
     def _mapping(
         self, where: str, content: Any, allowed: tuple[str, ...] | None = None
     ) -> dict[str, Any]:
-        if fault := MAPPING.fault(where, content):
-            self.faults.append(fault)
-            return {}
+        content = self._allowed(where, content, MAPPING, {})
         unknown = [key for key in content if allowed is not None and key not in allowed]
         self.faults += [
             f"{where} has the unknown key {shown(key)}; allowed are {', '.join(allowed or ())}"
@@ -369,10 +371,7 @@ class _Reader:
         return {str(key): value for key, value in content.items() if key not in unknown}
 
     def _texts(self, where: str, content: Any) -> tuple[str, ...]:
-        if fault := _TEXTS.fault(where, content):
-            self.faults.append(fault)
-            return ()
-        return tuple(str(text) for text in content)
+        return tuple(map(str, self._allowed(where, content, _TEXTS, ())))
 
     def _templates(self, where: str, content: Any, own: str = "") -> tuple[Template, ...]:
         templates = []

@@ -299,13 +299,8 @@ def _day_number(words: list[str]) -> int | None:
     words = [part for word in words for part in word.split("-") if part]
     if len(words) == 1:
         return _ORDINALS.get(words[0], number_of(words[0]))
-    if (
-        len(words) == 2
-        and words[0] in TEN_WORDS
-        and words[1] in _ORDINALS
-        and _ORDINALS[words[1]] < 10
-    ):
-        return TEN_WORDS[words[0]] + _ORDINALS[words[1]]
+    if len(words) == 2 and words[0] in TEN_WORDS and (unit := _ORDINALS.get(words[1], 10)) < 10:
+        return TEN_WORDS[words[0]] + unit
     return None
 
 

@@ -210,13 +210,10 @@ def _class(word: str) -> str:
     if word.isdecimal():
         return f"d{len(word)}" if len(word) < 6 else "d+"
     if word[0].isdigit():
-        return (
-            "clock" if any(mark in word for mark in ":.h") else "date" if "/" in word else "mixed"
-        )
-    for name, words in _CLASSES:
-        if word in words:
-            return name
-    return "mark" if not compact(word) else "word"
+        is_clock = not {*word}.isdisjoint(":.h")
+        return "clock" if is_clock else "date" if "/" in word else "mixed"
+    other = "word" if compact(word) else "mark"
+    return next((name for name, words in _CLASSES if word in words), other)
 
 
 _CLASSES = (
