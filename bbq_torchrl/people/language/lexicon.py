@@ -247,7 +247,8 @@ class Lexicon:
             if head == "around":
                 keys += [key.replace("around", "at") for key in keys]
         elif part in ("morning", "afternoon", "evening", "night", "noon") and head:
-            keys.append(head)
+            other = {"evening": "night", "night": "evening"}.get(part, part)
+            keys += [f"{head} {other}", head]
         elif head == "day":  # "the 12th" of the only month with one
             days = [key for key in known if key.endswith(f"/{part}")]
             keys += days if len(days) == 1 else []
