@@ -93,7 +93,12 @@ class Accepting:
         return replace(said, frame=frame, confidence=max(said.confidence, DOUBTFUL))
 
     def offered(
-        self, before: Memory, reading: Understood, text: str, asks: bool
+        self,
+        before: Memory,
+        record: Mapping[str, str],
+        reading: Understood,
+        text: str,
+        asks: bool,
     ) -> tuple[Understood, bool]:
         """Returns the meaning of a reply to an offer, and whether it is a yes that adds values.
 
@@ -102,13 +107,14 @@ class Accepting:
 
         Args:
             before: the memory before the text.
+            record: the values of the offered record by slot.
             reading: the meaning of the text.
             text: the person's text.
             asks: whether the whole text asks something.
         """
         frame = reading.frame
         assert before.state is not None
-        offer = self._tracking.kept(before.state)
+        offer = {**record, **self._tracking.kept(before.state)}
         beside = self._beside_yes(before, text, offer)
         rest = moves.beside_yes(text)
         if rest == "":
@@ -119,7 +125,11 @@ class Accepting:
         if beside is not None and not asks and not moves.says(rest or text, "hesitates"):
             told = values_of(beside.frame)
             is_repeated = told.items() <= offer.items()
-            says_yes = beside.frame.act in ("confirm_answer", "thanks")  # "sonds good, yes"
+            # "sonds good, yes"
+            says_yes = beside.frame.act in ("confirm_answer", "thanks")
+            says_yes |= moves.accepts(moves.sentences(text)[-1]) and self._hear.is_bare(
+                beside.frame
+            )
             if is_repeated and (told or says_yes or beside.confidence == 1.0):
                 return Understood(Frame("thanks"), 1.0, source=reading.source), False
             fits = all(offer.get(slot, value) == value for slot, value in told.items())

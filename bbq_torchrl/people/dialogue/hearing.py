@@ -19,6 +19,7 @@ if TYPE_CHECKING:
 
 DOUBTFUL = 0.5
 """The confidence below which a reading is more likely wrong than right, and its values checked."""
+_SHORT = 3  # words that may be a number and nothing else: "for two please"
 
 
 class Hearing:
@@ -155,9 +156,23 @@ class Hearing:
         act = reading.frame.act if {*asked} == {*reading.frame.requests} else "request"
         return replace(reading, frame=Frame(act, informs, tuple(asked)))
 
+    def _with_named(self, text: str, alone: Understood, reading: Understood) -> Understood:
+        """Returns the reading of a reply with what it names in full: "two", "at the AMC"."""
+        told = reading.frame.informs
+        added = {slot: v for slot, v in alone.frame.informs.items() if slot not in told}
+        is_number = len(alone.frame.informs) == 1 and len(text.split()) <= _SHORT
+        if told or "?" in text or not is_number:  # "the late one" is no number of people
+            added = {slot: v for slot, v in added.items() if slot not in self._domain.free_slots}
+        if not (added and self._spelling.is_named(text, added)):
+            return reading
+        act = "inform" if reading.frame.act == "thanks" else reading.frame.act
+        return replace(reading, frame=replace(reading.frame, act=act, informs={**added, **told}))
+
     def _aside(self, text: str, asked: tuple[str, ...], reading: Understood) -> Understood:
         """Returns the meaning of a text that may say or ask something instead of answering."""
         alone = self._nlu(text, None)
+        if not asked:
+            reading = self._with_named(text, alone, reading)
         named = self._spelling.named(text, alone.frame.requests, asked)
         is_echo = not set(asked) <= set(named) and set(asked) <= set(reading.frame.requests)
         is_better = alone.confidence > reading.confidence

@@ -34,7 +34,8 @@ _FIND = {name: _pattern(text) for name, text in _DATA.items() if isinstance(text
 _CLAUSE = re.compile(r" ?(?:[,.;!?()]|:(?!\d)) ?| (?:but|and then) ")
 _SENTENCE = re.compile(r"[^.;!?]+[.;!?]*")
 _NEXT = re.compile(
-    r" (?:, )?(?:and|but|also)(?: also)? (?=(?:is|are|does|do|will|can|wh\w+|how)(?!\S))"
+    r" (?:,(?: and| but| also| so)*|(?:and|but|also)(?: also)?) "
+    r"(?=(?:is|are|does|do|will|can|wh\w+(?:'s)?|how)(?!\S)(?! (?:it|that) \?))"
 )
 _PIECE = re.compile(r"[^,.;!?]+[,.;!?]*")
 _AND = re.compile(rf"(?:{_CLAUSE.pattern})(?:and |also |plus )*| (?:and|also|plus|&) ")
@@ -185,6 +186,11 @@ def others(text: str) -> str:
     """
     found = (_FIND["others"].search(clause) for clause in _CLAUSE.split(_words(text)))
     return next((one.string[one.start() :] for one in found if one), "")
+
+
+def is_relative(value: str) -> bool:
+    """Returns whether a value is one of others by its words, such as "the last show"."""
+    return bool(others(value)) or says(value, "latest", "earliest")
 
 
 def same(words: str) -> str:

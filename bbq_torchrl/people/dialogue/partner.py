@@ -122,8 +122,9 @@ class Partner:
             reading = self._hear(told.rest or text, question)
             if told.text and told.rest and (named := self._elsewhere(before, told.rest)):
                 told, reading = Told("", {}, text, True), self._hear(text, question)
-                informs = {**named, **reading.frame.informs}
-                reading = replace(reading, frame=replace(reading.frame, informs=informs))
+                frame = replace(reading.frame, informs={**named, **reading.frame.informs})
+                sure = max(reading.confidence, DOUBTFUL)
+                reading = replace(reading, frame=frame, confidence=sure)
         except TextError as error:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
         if not told.text:
@@ -161,7 +162,8 @@ class Partner:
         question = self._question(before)
         rules = self.control.rules
         reading = self._hear.leaving(reading, text, before.is_offered)
-        is_wish = bool(values_of(reading.frame)) and not moves.says(text, "question")
+        is_moved = moves.direction(text) or moves.says(text, "question")
+        is_wish = bool(values_of(reading.frame)) and not is_moved
         others = "way_out" in rules and bool(moves.others(text)) and not is_wish
         held = self._tracking.kept(before.state)
         if "way_out" in rules:
@@ -191,7 +193,8 @@ class Partner:
                 # A yes to what is proposed books nothing that was offered before.
                 return self._say(now, self._nlg.say("stands", **words), reading)
         elif before.is_offered and "yes_ends" in rules and not others:
-            reading, is_booked = self._accepting.offered(before, reading, text, asks)
+            record = self._ways_out.nearest(before)
+            reading, is_booked = self._accepting.offered(before, record, reading, text, asks)
             if reading.frame.act == "not_sure" and not reading.unclear:
                 return self._say(now, self._nlg.say("stands", **words), reading)
         elif "book" in rules and moves.accepts(text) and self._hear.is_bare(reading.frame):
@@ -201,8 +204,10 @@ class Partner:
             held |= before.asking.waiting.informs if before.asking.waiting else {}
             reading, dropped = self._hear.dropped(reading, text, question, held)
         if others and not dropped:
-            joined = values_of(before.asking.joined(reading.frame))
-            told = {k: value for k, value in joined.items() if not moves.others(value)}
+            informs = reading.frame.informs
+            informs = {k: value for k, value in informs.items() if not moves.is_relative(value)}
+            reading = replace(reading, frame=replace(reading.frame, informs=informs))
+            told = values_of(before.asking.joined(reading.frame))
             state = self._acting.hear(before.state, Frame("inform", told))
             found = self._ways_out.others(replace(now, state=state), reading, text, question, words)
             if found is not None:

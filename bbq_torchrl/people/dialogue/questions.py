@@ -111,7 +111,10 @@ class Questions:
         is_guess = reading.confidence < DOUBTFUL
         is_detail = moves.says(sentence, "detail") and meant.keys().isdisjoint(self._spoken_of)
         is_detail &= is_guess or all(has[slot] or slot not in record for slot in meant)
-        if is_detail or (is_whether and meant):
+        asked = {*reading.frame.requests} - self._free
+        is_echo = bool(meant) and all(has.values())
+        is_echo &= not (asked or moves.says(sentence.rstrip(" ?"), "question"))
+        if is_detail or is_echo or (is_whether and meant):
             told = {
                 own or slot: record[own or slot]
                 for slot, own in has.items()
@@ -122,8 +125,9 @@ class Questions:
             is_yes = all(has.values())
             values = self._nlg.agent(Frame("inform", told), **words)
             return f"{self._nlg.say('yes' if is_yes else 'no', **words)} {values}", told, is_yes
-        asked = {*reading.frame.requests} - self._free
-        if not asked or self._hear.is_unsure(reading):
+        if is_whether and not moves.says(sentence, "wh"):  # "is the theater far?" asks for none
+            asked = set()
+        elif not asked or self._hear.is_unsure(reading):
             named = self._spelling.named(sentence, sorted({*record} - self._free))
             asked = asked & {*named} or {*named[:1]}
         if asked and not meant:

@@ -243,8 +243,8 @@ class Records:
         others[slot] = NONE
         differs, lacks = self.compare(others)
         fits = ~(differs | (lacks & ~self.minor)).any(-1) & self.has[:, slot]
-        complete = fits & ~lacks.any(-1)
-        found = self._values[complete if complete.any() else fits, slot]
+        missing = torch.where(fits, lacks.sum(-1), len(held))
+        found = self._values[fits & (missing == missing.min()), slot]
         values, counts = found[found != held[slot]].unique(return_counts=True)
         ranked = values[counts.argsort(descending=True, stable=True)].tolist()
         minutes = self._minutes.get(slot)
@@ -263,6 +263,8 @@ class Records:
     ) -> Tensor:
         """Returns the values of the nearest record after a change, long ``[S]``.
 
+        Of records as near it is one with the most on file.
+
         Args:
             held: long ``[S]``, value ids.
             change: slot to value id.
@@ -272,6 +274,8 @@ class Records:
         changed[[*change]] = torch.tensor([*change.values()], dtype=torch.long)
         distances = 2 * self._distances(*self.compare(changed)) + self._is_vague
         distances += self.with_any(refused) * (distances.max() + 1)
+        absent = (self._constrains & ~self.minor & ~self.has).sum(-1)  # the date not on file
+        distances = distances * (len(held) + 1) + absent
         return self._values[int(distances.argmin())].clone()
 
     def is_listed(self, slot: int) -> bool:

@@ -97,7 +97,7 @@ class WaysOut:
         # Other than what is proposed, unless the text names another one itself.
         itself = reading.frame.informs.get(slot, now.proposal.get(slot))
         is_named = bool((proposed[named] != NONE).any()) and itself == now.proposal.get(slot)
-        is_beside = bool(now.proposal) if way else is_named
+        is_beside = bool(now.proposal) if way or end else is_named
         if is_beside:
             takes = proposed if not is_met else torch.where(named, proposed, NONE)
             held = torch.where(takes != NONE, takes, held)
@@ -122,7 +122,7 @@ class WaysOut:
         as_told[number] = full(now.state)[number]
         refused = self.refused(now)
         nearest = partial(records.nearest, refused=refused, slot=number, direction=way)
-        if change := change or nearest(base, stays=fixed):
+        if change := change or ({} if end else nearest(base, stays=fixed)):
             return self.propose(now, reading, change, words, held=as_told)
         if is_met or is_beside:
             use = {1: "nothing_later", -1: "nothing_earlier"}.get(way or end, "no_other")
