@@ -2,6 +2,7 @@
 
 import copy
 import csv
+import importlib.util
 from contextlib import ExitStack, contextmanager, suppress
 from functools import cache
 
@@ -106,6 +107,12 @@ def without_drawing():
         patch.setattr("bbq_torchrl.runs.final._others", lambda *_: others)
         patch.setattr("bbq_torchrl.runs.final.draw_run", lambda file, *_, **__: file.touch())
         yield
+
+
+def needs(package, extra):
+    """Skips the test where the package of an extra is not installed."""
+    if importlib.util.find_spec(package) is None:
+        pytest.skip(f"needs the extra {extra}: pip install -e '.[{extra}]'")
 
 
 def nightly(names, daily):

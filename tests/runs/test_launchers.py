@@ -1,10 +1,8 @@
 """Sweeps as a person types them, on every engine that runs here, and on a cluster of Ray."""
 
-import importlib.util
-
 import forked
 import pytest
-from tiny import TINY, rows
+from tiny import TINY, needs, rows
 
 from bbq_torchrl.runs.compose import compose_raw, session
 
@@ -13,11 +11,6 @@ PLUGINS = {
     "slurm_local": ("hydra_submitit_launcher", "slurm"),
     "ray_tasks": ("hydra_ray_launcher", "ray"),
 }
-
-
-def needs(package, extra):
-    if importlib.util.find_spec(package) is None:
-        pytest.skip(f"needs the extra {extra}: pip install -e '.[{extra}]'")
 
 
 @pytest.mark.slow

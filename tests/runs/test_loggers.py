@@ -1,6 +1,5 @@
 """Several logged runs in one process stay separate, each with configuration, rounds and result."""
 
-import importlib.util
 import json
 import os
 import struct
@@ -9,7 +8,7 @@ from dataclasses import dataclass, field, replace
 import forked
 import pytest
 from own_options import own_options
-from tiny import TINY, composed, nightly, rows
+from tiny import TINY, composed, needs, nightly, rows
 from torchrl.record.loggers import Logger
 
 from bbq_torchrl.evaluation.run_result import read_result
@@ -177,11 +176,6 @@ def test_a_logger_that_cannot_begin_is_refused(tmp_path, monkeypatch):
             run(config, tmp_path / "run")
 
 
-def needs(package):
-    if importlib.util.find_spec(package) is None:
-        pytest.skip(f"needs the extra {package}: pip install -e '.[{package}]'")
-
-
 @pytest.mark.parametrize(
     ("name", "file"),
     [
@@ -191,7 +185,7 @@ def needs(package):
 )
 @pytest.mark.filterwarnings("ignore")
 def test_a_run_ends_without_what_its_logger_wrote(name, file, tmp_path, monkeypatch, caplog):
-    needs(name)
+    needs(name, name)
     monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
     config = composed(*RUN, f"logger={name}", "protocol.rounds=4")
 
@@ -283,7 +277,7 @@ def of_mlflow(folder):
 def test_a_logger_that_cannot_be_reached_is_refused_before_a_folder_is_there(
     name, address, way, tmp_path, monkeypatch
 ):
-    needs(name)
+    needs(name, name)
     for key in ("MLFLOW_TRACKING_URI", "WANDB_API_KEY", "WANDB_MODE"):
         monkeypatch.delenv(key, raising=False)
     for key, value in {"HOME": str(tmp_path), "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0"}.items():
@@ -302,7 +296,7 @@ def test_a_logger_that_cannot_be_reached_is_refused_before_a_folder_is_there(
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_processes_that_start_together_share_a_new_database(tmp_path, monkeypatch):
-    needs("mlflow")
+    needs("mlflow", "mlflow")
     import mlflow  # once, not in every child
 
     address = f"sqlite:///{tmp_path}/shared.db"
@@ -347,7 +341,7 @@ def sweep(name, folder):
 def test_each_job_of_a_process_is_a_run_of_the_real_package(
     name, read, given, tmp_path, monkeypatch
 ):
-    needs(name)
+    needs(name, name)
     for key in ("MLFLOW_TRACKING_URI", *given):
         monkeypatch.delenv(key, raising=False)
     for key, value in given.items():
