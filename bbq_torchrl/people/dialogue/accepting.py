@@ -127,9 +127,7 @@ class Accepting:
             is_repeated = told.items() <= offer.items()
             # "sonds good, yes"
             says_yes = beside.frame.act in ("confirm_answer", "thanks")
-            says_yes |= moves.accepts(moves.sentences(text)[-1]) and self._hear.is_bare(
-                beside.frame
-            )
+            says_yes |= moves.ends_in_yes(text) and self._hear.is_bare(beside.frame)
             if is_repeated and (told or says_yes or beside.confidence == 1.0):
                 return Understood(Frame("thanks"), 1.0, source=reading.source), False
             fits = all(offer.get(slot, value) == value for slot, value in told.items())

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 DOUBTFUL = 0.5
 """The confidence below which a reading is more likely wrong than right, and its values checked."""
 _SHORT = 3  # words that may be a number and nothing else: "for two please"
+_TINY = 2  # letters of "if" and the like, which are no names
 
 
 class Hearing:
@@ -62,6 +63,7 @@ class Hearing:
             return replace(reading, frame=frame)
         informed = question.informs if question is not None else {}
         informs, unclear = self._spelling.understood(text, values, informed, reading.unclear)
+        unclear = tuple(one for one in unclear if one.candidates or len(one.text) > _TINY)
         frame = replace(reading.frame, informs=informs)
         if "answers_first" in rules and {*frame.requests} - {self._domain.ticket_slot}:
             spoken_of = {action.slot for action in self._domain.actions}

@@ -104,6 +104,11 @@ def beside_yes(text: str) -> str | None:
     return " ".join(rest) if is_yes else None
 
 
+def ends_in_yes(text: str) -> bool:
+    """Returns whether the last words of a text accept, such as "oh well, yes"."""
+    return accepts(_PIECE.findall(_words(text))[-1])
+
+
 def books(text: str) -> bool:
     """Returns whether a text has a clause that books, and neither asks nor hesitates.
 

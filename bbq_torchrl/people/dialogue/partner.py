@@ -253,7 +253,7 @@ class Partner:
         if is_unsure and (news := self._unsaid(before, understood, answer)):
             answer = _led(answer, self._nlg.say("understood", values=news, **words))
         is_found = answer.acted and not answer.memory.proposal and bool(values_of(understood))
-        if is_any and is_found and not (asked or absent):
+        if is_any and is_found and not absent:
             answer = _led(answer, self._nlg.say("yes", **words))
         return answer
 

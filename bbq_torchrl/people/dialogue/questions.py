@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains.frames import NO_MATCH_TEXT
@@ -11,7 +12,7 @@ from bbq_torchrl.domains.values import RESERVED_TEXT, fold
 from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.hearing import DOUBTFUL
 from bbq_torchrl.people.language import Frame
-from bbq_torchrl.people.language.words import tokenize
+from bbq_torchrl.people.language.words import SMALL, tokenize
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -105,8 +106,13 @@ class Questions:
             said = tokenize(sentence)
             for slot, start, end in self._spelling.lexicon.full_names(said):
                 meant[slot] = [" ".join(said[start:end])]
+            # "is it at the grove?"
+            parts = [f" {one} {other} " for one, other in pairwise(said) if other not in SMALL]
+            known = ((slot, part) for slot in record for part in parts if not meant)
+            meant |= {slot: [part.strip()] for slot, part in known if part in f" {record[slot]} "}
         has = {slot: self._having(record, values) for slot, values in meant.items()}
-        if not all(has.values()) and (moves.says(sentence, "also") or self._is_of(sentence, meant)):
+        is_other = moves.says(sentence, "also") or self._is_of(sentence, meant)
+        if is_other and not all(has.values()):
             return None
         is_guess = reading.confidence < DOUBTFUL
         is_detail = moves.says(sentence, "detail") and meant.keys().isdisjoint(self._spoken_of)
