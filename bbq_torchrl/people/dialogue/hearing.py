@@ -63,7 +63,9 @@ class Hearing:
             return replace(reading, frame=frame)
         informed = question.informs if question is not None else {}
         informs, unclear = self._spelling.understood(text, values, informed, reading.unclear)
-        unclear = tuple(one for one in unclear if one.candidates or len(one.text) > _TINY)
+        unclear = tuple(
+            one for one in unclear if one.candidates or one.is_denied or len(one.text) > _TINY
+        )
         frame = replace(reading.frame, informs=informs)
         if "answers_first" in rules and {*frame.requests} - {self._domain.ticket_slot}:
             spoken_of = {action.slot for action in self._domain.actions}

@@ -105,7 +105,7 @@ class Partner:
         now = replace(before, texts=before.texts + 1)
         words: dict[str, Any] = {"session": seed, "turn": now.texts}
         is_about = bool(before.proposal) or before.is_offered
-        told = Told("", {}, text, True)
+        told = Told("", {}, text)
         try:
             if "drop" in rules and moves.says(text, "restart"):
                 sentence = self._nlg.say("restart", **words)
@@ -121,7 +121,7 @@ class Partner:
             question = self._question(before)
             reading = self._hear(told.rest or text, question)
             if told.text and told.rest and (named := self._elsewhere(before, told.rest)):
-                told, reading = Told("", {}, text, True), self._hear(text, question)
+                told, reading = Told("", {}, text), self._hear(text, question)
                 frame = replace(reading.frame, informs={**named, **reading.frame.informs})
                 sure = max(reading.confidence, DOUBTFUL)
                 reading = replace(reading, frame=frame, confidence=sure)

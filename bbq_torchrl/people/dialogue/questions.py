@@ -36,7 +36,7 @@ class Told:
     text: str
     values: Mapping[str, str]
     rest: str
-    is_yes: bool
+    is_yes: bool = True
 
 
 class Questions:
@@ -80,7 +80,7 @@ class Questions:
             told |= found[1]
             is_yes &= found[2]
         if not said:
-            return Told("", {}, text, True)
+            return Told("", {}, text)
         return Told(" ".join(said), told, " ".join(rest), is_yes)
 
     def _answer(
