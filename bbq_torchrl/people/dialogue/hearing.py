@@ -184,6 +184,10 @@ class Hearing:
         if is_silent and is_better and not self.is_bare(alone.frame) and not named:
             return alone
         if not named or not (is_better or (asked and is_echo)):
-            return reading
+            requests = (*reading.frame.requests, *named) if moves.says(text, "wh") else ()
+            if {*requests} <= {*reading.frame.requests}:
+                return reading
+            asks = Frame("request", reading.frame.informs, tuple(dict.fromkeys(requests)))
+            return replace(reading, frame=asks)
         frame = Frame("request", reading.frame.informs, named)
         return replace(reading, frame=frame, confidence=alone.confidence)
