@@ -66,7 +66,7 @@ class Accepting:
         return replace(beside, confidence=max(beside.confidence, DOUBTFUL))
 
     def proposed(self, before: Memory, reading: Understood, text: str) -> Understood | None:
-        """Returns the meaning of a text that takes a proposal, by a yes or by naming its values.
+        """Returns the meaning of a text that takes a proposal, by a yes or by what fits it.
 
         What else the text says is told, or asked of that record. ``None`` if it does not take it.
 
