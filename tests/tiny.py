@@ -70,7 +70,7 @@ def composed_raw(overrides, root=Config):
 
 @cache
 def _is_value(item):
-    """Whether an override only gives a key a value."""
+    """Returns whether an override only sets a key."""
     try:
         override = _parsed(item)
     except HydraException:

@@ -18,14 +18,7 @@ LANES = 2
 class Comparison:
     """A batch of dialogues, played by simulator and oracle with the same random numbers."""
 
-    def __init__(
-        self,
-        domain,
-        setting,
-        dialogues,
-        seed,
-        device="cpu",
-    ):
+    def __init__(self, domain, setting, dialogues, seed, device="cpu"):
         tensors = tensorize(domain)
         errors = ErrorModel(
             tensors, setting.slot_error_prob, setting.slot_error_mode, setting.intent_error_prob

@@ -8,12 +8,7 @@ from .values import DONT_CARE, NO_MATCH, RESERVED, plain
 class Records:
     """Records as dicts; `value_order` breaks ties between equally frequent values."""
 
-    def __init__(
-        self,
-        records,
-        free_slots,
-        value_order,
-    ):
+    def __init__(self, records, free_slots, value_order):
         self.records = [{slot: plain(value) for slot, value in row.items()} for row in records]
         self.free_slots = set(free_slots)
         self.value_number = {

@@ -78,15 +78,7 @@ class Person(User):
             self.pending = {self.ticket}
         self._tell(opening)
 
-    def reply(
-        self,
-        kind,
-        act,
-        slot,
-        filled,
-        offered,
-        draws,
-    ):
+    def reply(self, kind, act, slot, filled, offered, draws):
         """Answers an agent act that does not end the dialogue."""
         asked, told = self._questions(self.pending), set(self.constraints) - self.agenda
         if self.bears and asked and kind != "request" and not (kind == "inform" and slot in asked):

@@ -54,15 +54,7 @@ class User:
         self.history.update(self.informs)
         self.informs = {}
 
-    def reply(
-        self,
-        kind,
-        act,
-        slot,
-        filled,
-        offered,
-        draws,
-    ):
+    def reply(self, kind, act, slot, filled, offered, draws):
         """Answers an agent act that does not end the dialogue."""
         if kind == "request":
             self._answer_request(slot)

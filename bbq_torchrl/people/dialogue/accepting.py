@@ -1,4 +1,4 @@
-"""What a text means after a check, a proposal or an offer: a yes, alone or beside more."""
+"""Replies to a check, a proposal or an offer: a yes, alone or with other content."""
 
 from __future__ import annotations
 

@@ -23,7 +23,7 @@ from bbq_torchrl.people.language.words import is_no
 from bbq_torchrl.simulator import Simulator
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable
+    from collections.abc import Iterable, Mapping
 
     import torch
     from tensordict import TensorDict
@@ -105,6 +105,7 @@ class Partner:
         now = replace(before, texts=before.texts + 1)
         words: dict[str, Any] = {"session": seed, "turn": now.texts}
         is_about = bool(before.proposal) or before.is_offered
+        record = self._ways_out.nearest(before) if is_about else {}
         told = Told("", {}, text)
         try:
             if "drop" in rules and moves.says(text, "restart"):
@@ -116,11 +117,10 @@ class Partner:
                     now, self._nlg.say(topic, self.domain.essential[:_MAX_NAMED], **words)
                 )
             if "answers_first" in rules and not (before.asking.is_check or moves.accepts(text)):
-                record = self._ways_out.nearest(before) if is_about else None
                 told = self._questions(record, text, words)
             question = self._question(before)
             reading = self._hear(told.rest or text, question)
-            if told.text and told.rest and (named := self._elsewhere(before, told.rest)):
+            if told.text and told.rest and (named := self._elsewhere(record, told.rest)):
                 told, reading = Told("", {}, text), self._hear(text, question)
                 frame = replace(reading.frame, informs={**named, **reading.frame.informs})
                 sure = max(reading.confidence, DOUBTFUL)
@@ -257,9 +257,9 @@ class Partner:
             answer = _led(answer, self._nlg.say("yes", **words))
         return answer
 
-    def _elsewhere(self, before: Memory, rest: str) -> dict[str, str]:
+    def _elsewhere(self, record: Mapping[str, str], rest: str) -> dict[str, str]:
         """Returns the values by which the rest of a text names another record, to ask about it."""
-        reading, record = self._hear(rest, None), self._ways_out.nearest(before)
+        reading = self._hear(rest, None)
         named = {
             s: v for s, v in values_of(reading.frame).items() if s not in self.domain.free_slots
         }

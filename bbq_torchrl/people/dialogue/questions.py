@@ -56,12 +56,12 @@ class Questions:
         self._free = {*domain.free_slots, *domain.special_slots}
         self._spoken_of = {action.slot for action in domain.actions}
 
-    def __call__(self, record: Mapping[str, str] | None, text: str, words: dict[str, Any]) -> Told:
+    def __call__(self, record: Mapping[str, str], text: str, words: dict[str, Any]) -> Told:
         """Returns the answers to the questions of a text about a record.
 
         Args:
-            record: the record's values by slot; ``None`` if none is proposed or offered: then only
-                what no record answers is.
+            record: the record's values by slot; empty if none is proposed or offered, when only
+                what no record can answer is answered.
             text: the person's text.
             words: what determines the words.
         """
@@ -69,7 +69,7 @@ class Questions:
         rest: list[str] = []
         told: dict[str, str] = {}
         is_yes = True
-        names = sorted(map(fold, (record or {}).values()), key=len, reverse=True)
+        names = sorted(map(fold, record.values()), key=len, reverse=True)
         subject = re.compile(rf"\b(is|does) (?:{'|'.join(map(re.escape, names)) or '_'})\b")
         for sentence in moves.sentences(text):
             found = self._answer(record, subject.sub(r"\1 it", sentence), words)
@@ -84,7 +84,7 @@ class Questions:
         return Told(" ".join(said), told, " ".join(rest), is_yes)
 
     def _answer(
-        self, record: Mapping[str, str] | None, sentence: str, words: dict[str, Any]
+        self, record: Mapping[str, str], sentence: str, words: dict[str, Any]
     ) -> tuple[str, dict[str, str], bool] | None:
         """Returns an answer, its values, and whether it agrees; ``None`` if there is no answer."""
         is_whether = moves.says(sentence, "whether")
@@ -93,7 +93,7 @@ class Questions:
             return None
         if moves.says(sentence, "untold"):
             return self._nlg.say("unknown_question", **words), {}, True
-        if record is None:
+        if not record:
             return None
         reading = self._hear(sentence, None)
         meant = {slot: [value] for slot, value in reading.frame.informs.items()}
