@@ -5,7 +5,7 @@ import shutil
 
 import pytest
 import torch
-from planted import rewritten
+from archives import rewritten
 
 from bbq_torchrl.runs.folders import config_fingerprint, load_config
 from bbq_torchrl.runs.train import build_trainer

@@ -9,7 +9,7 @@ import os
 import forked
 import pytest
 import torch
-from planted import plant, rewritten
+from archives import rewritten
 from tiny import composed, nightly
 
 import train
@@ -18,7 +18,7 @@ from bbq_torchrl.runs.folders import is_finished, load_config, run_config, run_l
 from bbq_torchrl.runs.train import run
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import TrainingError
-from bbq_torchrl.utils.files import LOCK, PROCESS, write_text
+from bbq_torchrl.utils.files import LOCK, PROCESS
 from bbq_torchrl.utils.output import REFUSED
 from bbq_torchrl.utils.reports import Report, Table
 
@@ -34,20 +34,6 @@ def refused(main, *arguments, cwd):
     assert err.startswith("error: ")
     assert err.count("\n") == 1
     return err
-
-
-@pytest.mark.slow  # daily, tests/trainers/test_checkpoints.py
-def test_neither_evaluate_nor_resume_runs_what_is_planted(copy, kept, tmp_path):
-    folder = copy(kept)
-    for archive in (folder / "checkpoint").iterdir():
-        plant(archive, tmp_path / "marker")
-
-    refused(evaluate.main, f"policy={folder}", "dialogues=2", cwd=tmp_path)
-    out, err = forked.call(
-        train.main, f"resume={folder}", "protocol.rounds=5", cwd=tmp_path, code=1
-    )
-    assert "Traceback" not in out + err
-    assert not (tmp_path / "marker").exists()
 
 
 @pytest.mark.parametrize("name", nightly(["train.log", ".lock", "checkpoint"], ["checkpoint"]))
@@ -75,13 +61,6 @@ def test_a_report_is_not_written_through_a_link(tmp_path, name):
     assert victim.read_text() == "mine"
     assert not any(path.is_symlink() for path in tmp_path.iterdir())
     assert (tmp_path / "runs.csv").read_text() == "agent\ndqn\n"
-
-
-def test_a_pipe_is_not_replaced_by_a_file(tmp_path):
-    os.mkfifo(pipe := tmp_path / "pipe")
-    with pytest.raises(OSError, match="pipe"):
-        write_text(pipe, "")
-    assert pipe.is_fifo()
 
 
 @pytest.mark.parametrize("last", nightly([math.nan, math.inf], [math.inf]))

@@ -22,18 +22,13 @@ SHRUNKEN = (
 AGENTS = {
     **{
         name: (f"+experiment=agents/{name}",)
-        for name in ("bbqn_map", "bbqn_mc", "bbqn_vime_mc", "dqn", "dqn_bootstrap", "dqn_vime_map")
+        for name in (
+            *("bbqn_map", "bbqn_mc", "bbqn_vime_mc", "noisy_dqn", "double_dqn"),
+            *("dqn", "dqn_bootstrap", "dqn_vime_map"),
+        )
     },
-    "noisy_dqn": ("+experiment=agents/noisy_dqn",),
-    "double_dqn": ("+experiment=agents/double_dqn",),
     "shared target noise": ("agent=bbqn", "agent.target=mc", "agent.target_noise=shared"),
     "sampled KL": ("agent=bbqn", "agent.kl=sampled"),
-    "separate heads with priors": (
-        "agent=bootstrap",
-        "agent.trunk_layers=0",
-        "agent.prior_scale=3",
-        "agent.double=true",
-    ),
     "dynamics now and then": ("agent=bbqn", "intrinsic=vime", "intrinsic.dynamics_every=3"),
 }
 

@@ -7,15 +7,13 @@ from torch import nn
 from torchrl.envs import InitTracker, TransformedEnv
 from torchrl.envs.utils import ExplorationType, exploration_type
 from torchrl.modules import EGreedyModule
-from trainer_parts import TURNS, GuessEnv, make_trainer, random_policy
+from trainer_parts import GuessEnv, make_trainer, random_policy
 
-from bbq_torchrl.data import TRANSITION_KEYS, BootstrapMask, ReplicaReplay
+from bbq_torchrl.data import TRANSITION_KEYS, ReplicaReplay
 from bbq_torchrl.protocols import (
     Annealed,
-    Measured,
     Resampled,
     RoundEnv,
-    Seeded,
     modules_with,
     provides,
 )
@@ -57,17 +55,6 @@ def test_each_replica_plays_as_many_as_asked_for_and_sees_where_each_begins(dial
         assert not (begins & played["valid"])[..., 1:].any()
 
 
-def test_dialogues_are_not_chosen_by_their_length():
-    turns = torch.cat(
-        [episode_stats(r).turns.flatten() for r in rollouts(GuessEnv(1, 100), random_policy, 2950)]
-    ).double()
-
-    # A dialogue continues after each turn, up to the last one, with a probability of one half.
-    expected = sum(0.5**k for k in range(TURNS))
-    assert len(turns) == 2950
-    assert abs(float(turns.mean()) - expected) < 5 * float(turns.std()) / 2950**0.5
-
-
 class NeverGuesses(nn.Module):
     def forward(self, td):
         self.seen = (self.training, exploration_type(), torch.is_grad_enabled())
@@ -105,12 +92,9 @@ GREEDY = EGreedyModule(GuessEnv(2, 3).action_spec, annealing_num_steps=10)
     ("owner", "protocol", "has_them"),
     [
         (TransformedEnv(GuessEnv(2, 3), InitTracker()), RoundEnv, True),
-        (nn.Identity(), RoundEnv, False),
         (GREEDY, Annealed, True),
         (GREEDY, Resampled, False),
         (Counts(), Annealed, False),
-        (BootstrapMask(2), Seeded, True),
-        (BootstrapMask(2), Measured, False),
     ],
 )
 def test_optional_methods_are_found_by_name_without_inheritance(owner, protocol, has_them):

@@ -10,7 +10,7 @@ from unittest.mock import MagicMock, call
 import pytest
 import torch
 
-from bbq_torchrl.options import LoggerOption, schemas
+from bbq_torchrl.options import schemas
 from bbq_torchrl.options.logger import RunLogger
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers.recording import MetricsFile, RoundProgress
@@ -66,13 +66,7 @@ def test_columns_that_do_not_fit_are_refused_and_nothing_is_written(tmp_path, co
     assert metrics.rows == rows
 
 
-class OwnLogger(LoggerOption):
-    name = "own"
-    package = "own"
-    make = None
-
-
-@pytest.mark.parametrize("option", [LOGGERS["wandb"], LOGGERS["tensorboard"], OwnLogger])
+@pytest.mark.parametrize("option", [LOGGERS["wandb"], LOGGERS["tensorboard"]])
 def test_a_missing_package_is_named(monkeypatch, option):
     monkeypatch.setattr(importlib.util, "find_spec", lambda module: None)
 

@@ -1,6 +1,5 @@
 """Replicas never change each other, to the bit: optimizer, sums, whole training runs."""
 
-import copy
 from functools import partial
 
 import pytest
@@ -10,11 +9,7 @@ from torch import nn
 from trainer_parts import make_trainer
 
 from bbq_torchrl.data import Batch
-from bbq_torchrl.trainers import (
-    BestWeights,
-    NonFiniteLossError,
-    ReplicaAdam,
-)
+from bbq_torchrl.trainers import ReplicaAdam
 from bbq_torchrl.trainers.learn import LossSums
 
 LR = (1e-2, 1e-2, 1e-3)
@@ -25,7 +20,8 @@ def test_steps_are_bitwise_adams_whoever_is_active_at_whatever_share_of_the_rate
     kind = partial(torch.optim.AdamW, weight_decay=decay) if decay else torch.optim.Adam
     weight, bias = nn.Parameter(torch.randn(3, 4, 5)), nn.Parameter(torch.randn(3, 7))
     twins = [[p.detach()[r].clone().requires_grad_() for p in (weight, bias)] for r in range(3)]
-    ours = ReplicaAdam([weight, bias], 3, lr=LR, weight_decay=decay)
+    frozen = nn.Parameter(torch.ones(2), False)  # is left out
+    ours = ReplicaAdam([weight, bias, frozen], 3, lr=LR, weight_decay=decay)
     theirs = [kind(twin, lr=rate, fused=True) for twin, rate in zip(twins, LR, strict=True)]
 
     for number in range(12):
@@ -55,34 +51,6 @@ def test_steps_are_bitwise_adams_whoever_is_active_at_whatever_share_of_the_rate
         assert torch.equal(bias.detach()[replica], twin[1].detach())
 
 
-def test_an_optimizers_restored_state_is_a_copy():
-    parameter, frozen = nn.Parameter(torch.ones(3, 4)), nn.Parameter(torch.ones(2), False)
-    optimizer = ReplicaAdam([parameter, frozen], 3)  # what is frozen is left out
-    parameter.grad = torch.ones(3, 4)
-    optimizer.step((True, True, False))
-    saved = copy.deepcopy(optimizer.state_dict())
-    optimizer.load_state_dict(saved)
-    optimizer.step()
-
-    def steps(state):
-        return [float(entry["step"]) for entry in state["state"].values()]
-
-    assert steps(saved) == [1.0, 1.0]
-    assert steps(optimizer.state_dict()) == [2.0, 2.0, 1.0]
-
-
-def sums_of(values, first_ends_at=None):
-    """Sums of what updates reported, [updates, replicas]; the first replica's end earlier."""
-    sums = LossSums(values.shape[1])
-    for number, update in enumerate(values):
-        active = [True] * len(update)
-        active[0] = first_ends_at is None or number < first_ends_at
-        valid = torch.tensor(active).unsqueeze(-1)
-        reported = TensorDict(loss_value=update, kl=-update, loss=update.sum())
-        sums.add(reported, Batch(TensorDict(valid=valid), tuple(active)))
-    return sums
-
-
 @pytest.mark.parametrize("updates", [1, 63, 64, 65, 200])
 def test_sums_of_many_updates_are_those_of_one_after_the_other(updates):
     values = torch.randn(updates, 3) * 10.0 ** torch.randint(-6, 6, (updates, 3))
@@ -91,15 +59,10 @@ def test_sums_of_many_updates_are_those_of_one_after_the_other(updates):
         expected += update
 
     means = [float(total) / updates for total in expected]
-    assert sums_of(values).means() == {"loss_value": means, "kl": [-mean for mean in means]}
-
-
-def test_a_replicas_sums_do_not_depend_on_the_updates_of_another():
-    values = torch.randn(150, 2)
-    alone, beside = sums_of(values[:100]), sums_of(values, first_ends_at=100)
-    for name, means in alone.means().items():
-        assert beside.means()[name][0] == means[0]
-    assert beside.updates == [100, 150]
+    sums, batch = LossSums(3), Batch(TensorDict(valid=torch.ones(3, 1).bool()), (True,) * 3)
+    for update in values:
+        sums.add(TensorDict(loss_value=update, kl=-update, loss=update.sum()), batch)
+    assert sums.means() == {"loss_value": means, "kl": [-mean for mean in means]}
 
 
 def weights(trainer):
@@ -150,39 +113,3 @@ def test_where_one_breaks_the_others_learn_on_and_the_state_is_saved(tmp_path):
     other.checkpoints.load(tmp_path / "broken" / "checkpoint" / "failed-round-000001.torchrl")
     assert weights(other)[0].isnan().any()
     assert torch.equal(weights(other)[1:], weights(broken)[1:])
-
-
-def test_where_all_break_the_error_names_what_to_change(tmp_path):
-    trainer = make_trainer(tmp_path, rounds=2)
-    trainer.remedy = "raise agent.noise_std"
-    trainer.callbacks = (lambda *_: weights(trainer)[:, 1, 1].fill_(torch.nan),)
-    with pytest.raises(NonFiniteLossError, match=r"agent\.noise_std"):
-        trainer.train()
-
-
-def new_best():
-    policy = nn.Module()
-    policy.weight = nn.Parameter(torch.zeros(3, 2))
-    return policy, BestWeights(policy, replicas=3)
-
-
-def test_each_replica_keeps_the_weights_of_its_own_best_round_resumed_or_not():
-    """tests/evaluation checks it in a training run."""
-    policy, best = new_best()
-    with pytest.raises(ValueError, match="no best weights before the first evaluation"):
-        best.put_back()
-    rates = [(0.1, 0.5, 0.0), (0.6, 0.2, 0.0), (0.6, 0.1, 0.0)]
-    rates += [(0.3, 0.5, 0.0), (0.2, 0.7, 0.0), (0.5, 0.0, 0.0)]
-    for number, rate in enumerate(rates):
-        nn.init.constant_(policy.weight, float(number))
-        best.update(number, torch.tensor(rate))
-        if number == 2:
-            state = best.state_dict()
-            policy, best = new_best()
-            best.load_state_dict(state)
-
-    # The first of equals stays; a replica that never succeeds keeps what was evaluated first.
-    assert best.round.tolist() == [1, 4, 0]
-    assert best.success_rate.tolist() == pytest.approx([0.6, 0.7, 0.0])
-    best.put_back()
-    assert policy.weight.tolist() == [[1.0, 1.0], [4.0, 4.0], [0.0, 0.0]]

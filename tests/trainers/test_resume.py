@@ -21,15 +21,11 @@ from bbq_torchrl.trainers.recording import MetricsFile
 # five parts, the first one is saved right after the spike (one call of extend).
 MOMENTS = {
     "while the buffer is spiked": (ReplicaReplay, "extend", 1),
-    "while the first checkpoint is staged": (checkpoint._TorchFile, "save", 3),
     "before the first checkpoint is published": (os, "replace", 1),
-    "in the first round": (ReplicaReplay, "extend", 2),
     "in the middle of an epoch": (ReplicaAdam, "step", 70),
-    "while a checkpoint is staged": (checkpoint._TorchFile, "save", 12),
     "while a checkpoint is written": (zipfile.ZipFile, "write", 10),
     "before a checkpoint is published": (os, "replace", 3),
     "before the older checkpoint goes": (checkpoint, "_fsync", 7),
-    "while the last checkpoint is published": (os, "replace", 6),
     "before a round's metrics are written": (MetricsFile, "append", 5),
 }
 WITHIN_A_LINE = "within a line of the metrics"
