@@ -5,14 +5,13 @@ from itertools import cycle, product
 
 import pytest
 import tiny
-import torch
 from tiny import TINY, nightly, rows
 from torch.testing import assert_close
 
 from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation.curves import read_metrics
 from bbq_torchrl.options import explorations, schemas
-from bbq_torchrl.runs.train import build_trainer, make_agent, run
+from bbq_torchrl.runs.train import make_agent, run
 
 SHRUNKEN = (*TINY, "spike.policy=random", "replicas=2")
 EXTENSION = ("env.start=1", "env.every=1")
@@ -102,25 +101,6 @@ def test_an_intrinsic_reward_is_learned_from_and_never_reported(tmp_path):
     for column in ("reward", "success_rate", "turns"):
         assert (rounds["none"][column] == rounds["vime"][column]).all()
     assert (rounds["vime"]["td_error"] > 10 * rounds["none"]["td_error"]).all()
-
-
-def test_the_dynamics_of_what_does_not_exist_yet_stay_at_the_prior(tmp_path):
-    vime = ("agent=dqn", "intrinsic=vime", "intrinsic.prior_std=0.2")
-    trainer, _ = build_trainer(composed(*vime, "env=domain_ext", "protocol.rounds=1"), tmp_path)
-    env, network = trainer.env, trainer.learner.loss.dynamics_loss.dynamics.network
-    actions = env.simulator.action_mask(env.active_slots)
-    inactive = ~torch.cat([env.active_features, actions])
-    assert inactive.any()
-
-    trainer.train()
-
-    mu, rho = (
-        network.layout.unflatten(values)[0][0]
-        for values in (network.posterior.mu, network.posterior.rho)
-    )
-    assert not mu[..., inactive, :].any()
-    assert (rho[..., inactive, :] == network.posterior.prior_rho).all()
-    assert mu[..., ~inactive, :].any()
 
 
 @pytest.mark.parametrize(

@@ -7,11 +7,11 @@ import shutil
 from dataclasses import replace
 
 import pytest
-from tiny import TINY, composed
+from tiny import TINY, composed, without_drawing
 
 from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation.run_result import read_result
-from bbq_torchrl.runs import build, final
+from bbq_torchrl.runs import build
 from bbq_torchrl.runs.build import find_spike_policy, make_domain
 from bbq_torchrl.runs.train import run
 from bbq_torchrl.settings import ConfigError
@@ -90,28 +90,9 @@ def test_a_script_of_a_later_round_is_passed_over(where):
     assert spiking(config) == "careful"
 
 
-@pytest.fixture
-def played(tmp_path, monkeypatch):
-    """Runs a configuration; returns its result and the titles of its curves."""
-    titles = []
-    monkeypatch.setattr(final, "draw_run", lambda *_, title, **__: titles.append(title))
-
-    def play(*overrides):
-        run(composed(*TINY, "agent=dqn", "protocol.rounds=1", *overrides), tmp_path)
-        return read_result(tmp_path), titles
-
-    return play
-
-
-def test_results_and_curves_bear_the_name_of_domain_yaml(played, restaurant_folder):
-    result, titles = played("domain=folder", f"domain.path={restaurant_folder}")
-    assert result.domain == "restaurant"
-    assert result.skipped == ()
-    assert [title.endswith("domain=restaurant") for title in titles] == [True]
-
-
-def test_what_of_a_corpus_is_left_out_is_told(played, tmp_path_factory, caplog, capsys):
-    corpus = tmp_path_factory.mktemp("corpus")
+def test_what_of_a_corpus_is_left_out_is_told(tmp_path, caplog, capsys):
+    corpus = tmp_path / "corpus"
+    corpus.mkdir()
     goal = {"diaact": "request", "inform_slots": {"city": "seattle"}, "request_slots": {}}
     both = goal | {"request_slots": {"city": "UNK"}}
     for name, content in (
@@ -121,9 +102,9 @@ def test_what_of_a_corpus_is_left_out_is_told(played, tmp_path_factory, caplog, 
     ):
         (corpus / name).write_bytes(pickle.dumps(content, 0))
     of = ["domain=miulab", f"domain.path={corpus}", "domain.goals=goals.p"]
-    with caplog.at_level(logging.WARNING):
-        result, _ = played(*of)
-    (text,) = result.skipped
+    with caplog.at_level(logging.WARNING), without_drawing():
+        run(composed(*TINY, "agent=dqn", "protocol.rounds=1", *of), tmp_path / "run")
+    (text,) = read_result(tmp_path / "run").skipped
     assert text.startswith("goals.p, goals 0, 2: ")
     assert any(text in told for told in caplog.messages)
     assert evaluate.main(["policy=rule", "dialogues=10", *of]) == 0

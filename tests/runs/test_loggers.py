@@ -16,7 +16,6 @@ from bbq_torchrl.options import LoggerOption, register
 from bbq_torchrl.options.logger import MLFlow
 from bbq_torchrl.runs.train import run
 from bbq_torchrl.settings import ConfigError, option
-from bbq_torchrl.trainers import TrainingError
 
 RUN = ["agent=dqn", *TINY, "replicas=2"]
 
@@ -74,6 +73,17 @@ class Own(LoggerOption):
         RECORDED[run_folder] = Recorder(run_folder)
         return RECORDED[run_folder]
 
+    def close(self, logger, *, finished):
+        super().close(logger, finished=finished)
+        logger.logged.state = "finished" if finished else "failed"
+
+
+@pytest.fixture(autouse=True)
+def _own_logger():
+    with own_options():
+        register(Own)
+        yield
+
 
 def of_recorder(folder):
     return RECORDED[folder].logged
@@ -121,46 +131,32 @@ def check(folder, logged, seed):
     assert logged.result["result/while_training/last"] == pytest.approx(result.while_training.last)
 
 
-@pytest.mark.parametrize(("name", "read"), [("tensorboard", of_tensorboard), ("own", of_recorder)])
-def test_two_runs_of_a_process_are_two_of_the_logger(name, read, tmp_path):
-    with own_options():
-        register(Own)
-        for seed in (0, 1):
-            folder = tmp_path / f"seed{seed}"
-            run(replace(composed(*RUN, f"logger={name}"), seed=seed), folder)
-            check(folder, read(folder), seed)
-
-
-def test_what_closes_a_logger_is_told_whether_the_run_has_finished(tmp_path, monkeypatch):
-    closed = []
-
-    def close(self, logger, *, finished):
-        closed.append((logger, finished))
-
-    def fail(trainer, rows):
-        raise TrainingError("the loss is not finite")
-
-    with own_options():
-        register(Own)
-        monkeypatch.setattr(Own, "close", close)
-        config = composed(*RUN, "logger=own")
-        with pytest.raises(TrainingError):
-            run(config, tmp_path / "failed", [fail])
-        run(config, tmp_path / "finished")
-    assert [finished for _, finished in closed] == [False, True]
-    assert [made for made, _ in closed] == list(RECORDED.values())[-2:]
+@pytest.mark.parametrize(
+    ("name", "read", "state"),
+    [("tensorboard", of_tensorboard, ""), ("own", of_recorder, "finished")],
+)
+def test_two_runs_of_a_process_are_two_of_the_logger(name, read, state, tmp_path):
+    for seed in (0, 1):
+        folder = tmp_path / f"seed{seed}"
+        run(replace(composed(*RUN, f"logger={name}"), seed=seed), folder)
+        check(folder, read(folder), seed)
+        assert read(folder).state == state
 
 
 def fail(*_, **__):
     raise RuntimeError("no answer from http://me:secret@host")
 
 
+def test_a_logger_is_told_that_its_run_has_failed(tmp_path):
+    with pytest.raises(RuntimeError):
+        run(composed(*RUN, "logger=own"), tmp_path, [fail])
+    assert RECORDED[tmp_path].logged.state == "failed"
+
+
 @pytest.mark.parametrize("fails", nightly(["log_hparams", "log_metrics", "close"], ["log_metrics"]))
 def test_a_logger_that_fails_is_given_up_with_one_warning(fails, tmp_path, monkeypatch, caplog):
-    with own_options():
-        register(Own)
-        monkeypatch.setattr(Recorder, fails, fail)
-        run(composed(*RUN, "logger=own"), tmp_path / "run")
+    monkeypatch.setattr(Recorder, fails, fail)
+    run(composed(*RUN, "logger=own"), tmp_path / "run")
     assert len(rows(tmp_path / "run" / "metrics.csv")) == 4
     assert read_result(tmp_path / "run").rounds == 2
     (warning,) = [line for line in caplog.messages if "logger=own" in line]
@@ -169,35 +165,8 @@ def test_a_logger_that_fails_is_given_up_with_one_warning(fails, tmp_path, monke
 
 def test_a_logger_that_cannot_begin_is_refused(tmp_path, monkeypatch):
     monkeypatch.setattr(Recorder, "_create_experiment", fail)
-    with own_options():
-        register(Own)
-        config = composed(*RUN, "logger=own")
-        with pytest.raises(ConfigError, match="logger=own"):
-            run(config, tmp_path / "run")
-
-
-@pytest.mark.parametrize(
-    ("name", "file"),
-    [
-        ("tensorboard", "tensorboard"),
-        pytest.param("mlflow", "mlflow.db", marks=pytest.mark.slow),
-    ],
-)
-@pytest.mark.filterwarnings("ignore")
-def test_a_run_ends_without_what_its_logger_wrote(name, file, tmp_path, monkeypatch, caplog):
-    needs(name, name)
-    monkeypatch.delenv("MLFLOW_TRACKING_URI", raising=False)
-    config = composed(*RUN, f"logger={name}", "protocol.rounds=4")
-
-    def remove(trainer, rows):
-        if trainer.rounds_done == 1:
-            place = tmp_path / "run" / file
-            # in one step, because a thread of TensorBoard's still writes
-            place.rename(tmp_path / "gone") if place.is_dir() else place.unlink()
-
-    run(config, tmp_path / "run", [remove])
-    assert read_result(tmp_path / "run").rounds == 4
-    assert sum(f"logger={name}" in line for line in caplog.messages) == 1
+    with pytest.raises(ConfigError, match="logger=own"):
+        run(composed(*RUN, "logger=own"), tmp_path / "run")
 
 
 # ------------------------------------------------------------------ the real packages
@@ -280,9 +249,8 @@ def test_a_logger_that_cannot_be_reached_is_refused_before_a_folder_is_there(
     needs(name, name)
     for key in ("MLFLOW_TRACKING_URI", "WANDB_API_KEY", "WANDB_MODE"):
         monkeypatch.delenv(key, raising=False)
-    for key, value in {"HOME": str(tmp_path), "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0"}.items():
-        monkeypatch.setenv(key, value)
-    for key, value in address.items():
+    alone = {"HOME": str(tmp_path), "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0"}
+    for key, value in (alone | address).items():
         monkeypatch.setenv(key, value)
     _, error = forked.python(
         *(forked.ROOT / "train.py", *way, *RUN, f"logger={name}"), cwd=tmp_path, code=2
@@ -354,9 +322,4 @@ def test_each_job_of_a_process_is_a_run_of_the_real_package(
         check(folder, logged, 7)
         assert float(logged.config["agent.lr"]) == lr
         assert logged.state == "finished"
-    databases = sorted(file.relative_to(tmp_path).as_posix() for file in tmp_path.rglob("*.db"))
-    if "MLFLOW_TRACKING_URI" in given:
-        assert databases == ["shared.db"]
-    elif name == "mlflow":
-        assert databases == [f"a%23b#c?d {{e}} é/job_{number}/mlflow.db" for number in range(3)]
     assert len(list(tmp_path.iterdir())) == 1 + ("MLFLOW_TRACKING_URI" in given)

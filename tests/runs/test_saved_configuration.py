@@ -17,6 +17,7 @@ from bbq_torchrl.settings import ConfigError
         "",
         "agent=dqn env=domain_ext seed=3",
         "protocol=quick spike=none agent=bootstrap intrinsic=vime agent.lr=1e-5",
+        "env.users=people",
     ],
 )
 def test_a_saved_configuration_is_read_back_as_it_was(tmp_path, command):
@@ -87,11 +88,10 @@ TEXT = "[{share: .25, tells: [1, 2], insists: 1}, {share: .75, changes_mind: .5}
 
 
 def test_a_mix_of_the_command_line_is_that_of_the_saved_configuration(tmp_path):
-    for text, value in ((TEXT, MIX), ("{tells: [1, 1]}", {"tells": [1, 1]}), ("people", "people")):
-        config = composed(f"env.users={text}")
-        assert config.env.users == value
-        save_config(config, tmp_path / "config.yaml")
-        assert load_config(tmp_path / "config.yaml") == config
+    config = composed(f"env.users={TEXT}")
+    assert config.env.users == MIX
+    save_config(config, tmp_path / "config.yaml")
+    assert load_config(tmp_path / "config.yaml") == config
 
 
 def test_an_evaluation_plays_with_the_users_that_it_names(capsys):

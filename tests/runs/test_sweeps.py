@@ -64,12 +64,5 @@ def test_a_single_run_shows_all_its_overrides(tmp_path, overrides, rounds, cells
     assert is_complete == (rounds == 5)
 
 
-@pytest.mark.parametrize("noted", ["[", "a: 1", "- [1]", "3"])
-def test_a_sweep_is_shown_whatever_its_overrides_hold(tmp_path, noted):
-    make_run(tmp_path / "0", [])
-    (tmp_path / "0" / ".hydra" / "overrides.yaml").write_text(noted)
-    assert table_of_runs(tmp_path)[0].splitlines()[-1].split()[1] == "0"
-
-
 def test_a_sweep_of_which_nothing_started_has_a_table_too(tmp_path):
     assert table_of_runs(tmp_path)[0].startswith("0 of 0 runs")

@@ -105,16 +105,10 @@ def test_a_replica_that_diverges_is_told_and_left_out_resumed_or_not(agent, tmp_
     assert [len(group.final) for group in read_groups([tmp_path / "whole"])] == [1]
 
 
-@pytest.fixture
-def finished(tmp_path):
-    """A run of four replicas, two of each value of one key and one of each of another."""
-    folder = tmp_path / "run"
+def test_results_say_which_replica_had_which_value(tmp_path):
+    finished = tmp_path / "run"
     values = {"agent.prior_std": [0.05, 0.2], "agent.lr": [0.001, 0.002, 0.001, 0.002]}
-    run(composed("agent=bbqn replicas=4", values), folder)
-    return folder
-
-
-def test_results_say_which_replica_had_which_value(finished):
+    run(composed("agent=bbqn replicas=4", values), finished)
     per_replica = json.loads((finished / "result.json").read_text())["per_replica"]
     assert [entry["values"] for entry in per_replica] == [
         {"agent.lr": lr, "agent.prior_std": std} for std in (0.05, 0.2) for lr in (0.001, 0.002)
