@@ -15,7 +15,7 @@ from bbq_torchrl.evaluation import compare_runs
 from bbq_torchrl.evaluation.curves import read_metrics
 from bbq_torchrl.options import explorations, registry
 from bbq_torchrl.runs.build import check_resources
-from bbq_torchrl.runs.compose import compose
+from bbq_torchrl.runs.compose import compose, usage
 from bbq_torchrl.runs.train import build_trainer, run
 from bbq_torchrl.search.definition import compose_search
 from bbq_torchrl.settings import ConfigError
@@ -46,6 +46,7 @@ def test_its_options_are_paired_by_what_they_need():
     assert known["epinet"] == ("index", "epsilon_greedy", "greedy")
     assert [agent for agent, names in known.items() if "ucb" in names] == ["bbqn", "gp"]
     assert "chain" in registry.options("env")
+    assert "\n  langevin " in usage()
     assert "visits" in registry.options("intrinsic")
 
 
@@ -142,8 +143,8 @@ def test_the_installed_package_is_found_by_a_sweep_and_its_processes(tmp_path, m
     pip = ("-m", "pip", "install", "-q", "--no-deps", "--target", site, copy)
     forked.python(*pip, cwd=tmp_path)
     monkeypatch.setenv("PYTHONPATH", str(site))
-    train = forked.ROOT / "train.py"
-    assert "langevin" in forked.python(train, "--help", cwd=tmp_path)[0]
-    swept = ("agent=bbqn", "explore=thompson,ucb", "intrinsic=visits", f"hydra.sweep.dir={runs}")
-    forked.python(train, "--multirun", *swept, *SHRUNKEN, cwd=tmp_path)
-    assert len(list(runs.glob("*/result.json"))) == 2
+    # Two jobs at a time, although there is one: it runs in a process of its own.
+    sweep = ("--multirun", "hydra.launcher.n_jobs=2", f"hydra.sweep.dir={runs}")
+    chosen = ("agent=bbqn", "explore=ucb", "intrinsic=visits")
+    forked.python(forked.ROOT / "train.py", *sweep, *chosen, *SHRUNKEN, cwd=tmp_path)
+    assert len(list(runs.glob("*/result.json"))) == 1

@@ -1,9 +1,11 @@
 """Several logged runs in one process stay separate, each with configuration, rounds and result."""
 
+import importlib
 import json
 import os
 import struct
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import forked
 import pytest
@@ -14,7 +16,7 @@ from torchrl.record.loggers import Logger
 from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.options import LoggerOption, register
 from bbq_torchrl.options.logger import MLFlow
-from bbq_torchrl.runs.train import run
+from bbq_torchrl.runs.train import main, run
 from bbq_torchrl.settings import ConfigError, option
 
 RUN = ["agent=dqn", *TINY, "replicas=2"]
@@ -172,6 +174,12 @@ def test_a_logger_that_cannot_begin_is_refused(tmp_path, monkeypatch):
 # ------------------------------------------------------------------ the real packages
 
 
+def imported(name):
+    """The package of an extra, imported once and not in every child."""
+    needs(name, name)
+    return importlib.import_module(name)
+
+
 def of_wandb(folder):
     """Reads the file of an offline run: a log of protocol buffers in blocks of 32 KiB."""
     from wandb.proto import wandb_internal_pb2 as protocol
@@ -246,15 +254,13 @@ def of_mlflow(folder):
 def test_a_logger_that_cannot_be_reached_is_refused_before_a_folder_is_there(
     name, address, way, tmp_path, monkeypatch
 ):
-    needs(name, name)
+    imported(name)
     for key in ("MLFLOW_TRACKING_URI", "WANDB_API_KEY", "WANDB_MODE"):
         monkeypatch.delenv(key, raising=False)
     alone = {"HOME": str(tmp_path), "MLFLOW_HTTP_REQUEST_MAX_RETRIES": "0"}
     for key, value in (alone | address).items():
         monkeypatch.setenv(key, value)
-    _, error = forked.python(
-        *(forked.ROOT / "train.py", *way, *RUN, f"logger={name}"), cwd=tmp_path, code=2
-    )
+    _, error = forked.call(main, *way, *RUN, f"logger={name}", cwd=tmp_path, code=2)
     assert error.splitlines()[-1].startswith(f"error: logger={name} cannot be used: ")
     assert "Traceback" not in error
     assert "secret" not in error
@@ -264,9 +270,7 @@ def test_a_logger_that_cannot_be_reached_is_refused_before_a_folder_is_there(
 @pytest.mark.slow
 @pytest.mark.filterwarnings("ignore")
 def test_processes_that_start_together_share_a_new_database(tmp_path, monkeypatch):
-    needs("mlflow", "mlflow")
-    import mlflow  # once, not in every child
-
+    mlflow = imported("mlflow")
     address = f"sqlite:///{tmp_path}/shared.db"
     monkeypatch.setenv("MLFLOW_TRACKING_URI", address)
 
@@ -286,8 +290,11 @@ def test_processes_that_start_together_share_a_new_database(tmp_path, monkeypatc
 
 def sweep(name, folder):
     """Three jobs in one process, the first of which fails. Returns the folders of the jobs."""
-    forked.python(
-        *(forked.ROOT / "train.py", "--multirun", "hydra/launcher=basic", *RUN, f"logger={name}"),
+    # W&B's service ends as the interpreter exits, which a forked child does not.
+    of_its_own = partial(forked.python, forked.ROOT / "train.py")
+    train = of_its_own if name == "wandb" else partial(forked.call, main)
+    train(
+        *("--multirun", "hydra/launcher=basic", *RUN, f"logger={name}"),
         *("agent.lr=1e30,.001,.002", f"hydra.sweep.dir='{folder}'"),
         *("hydra.sweep.subdir='job_${hydra.job.num}'", "seed=7"),
         cwd=folder.parent,
@@ -309,7 +316,7 @@ def sweep(name, folder):
 def test_each_job_of_a_process_is_a_run_of_the_real_package(
     name, read, given, tmp_path, monkeypatch
 ):
-    needs(name, name)
+    imported(name)
     for key in ("MLFLOW_TRACKING_URI", *given):
         monkeypatch.delenv(key, raising=False)
     for key, value in given.items():
