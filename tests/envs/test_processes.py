@@ -4,10 +4,8 @@ import multiprocessing
 import pickle
 from functools import partial
 
-import numpy as np
 import pytest
 import torch
-from tiny import nightly
 from torchrl.envs import EnvCreator, ParallelEnv, SerialEnv, TransformedEnv
 
 from bbq_torchrl.data import BootstrapMask
@@ -56,26 +54,13 @@ def test_copies_of_what_was_seeded_play_the_same(restaurant, is_loaded):
     assert found == [goals(env)] * 2
 
 
-def made(restaurant, with_state):
-    env = DialogueEnv(restaurant, batch_size=(8,))
-    return TransformedEnv(env, EnvState()) if with_state else env
-
-
-@pytest.mark.parametrize("with_state", nightly([False, True], [True]))
 @pytest.mark.parametrize(
-    ("kind", "start"),
-    [
-        (SerialEnv, None),
-        (ParallelEnv, "fork"),
-        pytest.param(ParallelEnv, "spawn", marks=pytest.mark.slow),
-    ],
+    ("kind", "settings"), [(SerialEnv, {}), (ParallelEnv, {"mp_start_method": "fork"})]
 )
-def test_workers_whose_environments_load_the_state_of_a_template_differ(
-    restaurant, kind, start, with_state
-):
+def test_workers_whose_environments_load_the_state_of_a_template_differ(restaurant, kind, settings):
     """TorchRL loads it for a lambda and an EnvCreator."""
-    create = EnvCreator(lambda: made(restaurant, with_state))
-    env = kind(2, create, **({} if start is None else {"mp_start_method": start}))
+    made = partial(DialogueEnv, restaurant, batch_size=(8,))
+    env = kind(2, EnvCreator(lambda: TransformedEnv(made(), EnvState())), **settings)
     one, other = env.reset()["goal_id"]
     env.close()
     assert not torch.equal(one, other)
@@ -92,19 +77,3 @@ def test_a_process_that_seeds_torch_itself_plays_by_that_seed(restaurant):
 def test_what_draws_its_own_seed_draws_another_one_in_every_process():
     one, other = in_forked(2, lambda: BootstrapMask(4).generator_state.sum().item())
     assert one != other
-
-
-def test_copies_of_a_gymnasium_environment_without_a_seed_differ(restaurant):
-    pytest.importorskip("gymnasium")
-    from bbq_torchrl.envs.gymnasium import GymnasiumDialogue
-
-    def played(env):
-        return [env.reset()[1]["goal_id"] for _ in range(8)]
-
-    env = GymnasiumDialogue(restaurant)
-    env.reset()
-    one, other = in_forked(2, lambda: played(env))
-    assert one != other
-    env.reset(seed=np.int64(4))
-    one, other = in_forked(2, lambda: played(env))
-    assert one == other

@@ -78,14 +78,6 @@ def test_the_form_is_filled_in_order(movie, env, flags, action):
     assert movie.action_names[policy(td)["action"]] == action
 
 
-def test_a_policy_without_answers_offers_at_once(movie):
-    answers = [f"inform({slot})" for slot in movie.slots if slot not in movie.special_slots]
-    actions = tuple(action for action in movie.actions if str(action) not in answers)
-    env = DialogueEnv(replace(movie, actions=actions, policies={}), batch_size=(1,), seed=0)
-    script = ["request(price)", "inform(taskcomplete)", "thanks"]
-    assert played(env, CarefulPolicy(env, ["price"])) == [script]
-
-
 def test_a_script_that_needs_a_slot_of_a_later_round_is_refused_until_then(movie):
     script = ScriptedPolicySpec("script", ("request(city)", "request(genre)", "thanks"))
     domain = replace(movie, policies={"early": script})
@@ -114,16 +106,6 @@ def test_without_errors_exactly_the_goals_that_a_record_meets_are_booked(corpus,
     expected = can_be_met(domain)[rollout["goal_id"][:, 0, 0]]
     assert expected.any()
     assert torch.equal(rollout["next", "success"].any(1).squeeze(-1), expected)
-
-
-def test_it_plays_one_dialogue_as_a_batch_of_one(movie):
-    actions = []
-    for batch in ((), (1,)):
-        env = DialogueEnv(movie, batch_size=batch, seed=0, slot_error_prob=0.3)
-        policy = ClairvoyantPolicy(env)
-        plays = [env.rollout(env.max_agent_turns, policy)["action"].flatten() for _ in range(6)]
-        actions.append(torch.cat(plays))
-    assert torch.equal(*actions)
 
 
 @pytest.mark.parametrize(

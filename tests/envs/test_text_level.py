@@ -11,8 +11,6 @@ from bbq_torchrl.domains import Goal, tensorize
 from bbq_torchrl.envs import (
     DialogueEnv,
     ExtensionSchedule,
-    SequencePolicy,
-    scripted_policy,
     text_channel,
 )
 from bbq_torchrl.envs.text_channel import TextChannel, count_errors, save_errors
@@ -135,15 +133,6 @@ def test_another_spelling_of_a_value_is_the_value_that_was_said(movie):
     assert env.dialogues["user_informs"].any()
 
 
-def test_one_dialogue_is_heard_as_a_batch_of_one_is(movie):
-    states = []
-    for batch in ((), (1,)):
-        env = DialogueEnv(movie, batch_size=batch, channel=channel_of(movie)[0], seed=1)
-        env.rollout(4, scripted_policy("rule", env))
-        states.append(env.dialogues.reshape(-1))
-    assert (states[0] == states[1]).all()
-
-
 @pytest.mark.parametrize("action", ["greeting", "request(city)"])
 def test_who_is_asked_again_is_understood_and_takes_turns(movie, action):
     channel, letters = channel_of(movie, unsure=lambda words: words % 3)
@@ -189,11 +178,11 @@ def test_a_slot_that_is_not_active_is_not_heard(movie):
 def counted(monkeypatch, tmp_path):
     """Counts errors with an exact nlu, and returns the counts after writing and reading them."""
 
-    def call(domain, turns=200, trained=None, **settings):
+    def call(domain, **settings):
         channel, _ = channel_of(domain, **settings)
         monkeypatch.setattr(text_channel, "text_channel", lambda _: channel)
         monkeypatch.setattr(text_channel, "_BATCH", 60)
-        text = save_errors(tmp_path, count_errors(domain, turns, trained=trained)).read_text()
+        text = save_errors(tmp_path, count_errors(domain, 200)).read_text()
         assert max(map(len, text.splitlines())) < 3_000
         return json.loads(text)
 
@@ -211,12 +200,6 @@ def test_errors_are_counted_and_drawn_again(movie, counted):
     date = torch.tensor([slot == "date" for slot in movie.slots])
     assert said[:, date].any()
     assert torch.equal(heard, said * ~date)
-
-
-@pytest.mark.slow
-def test_errors_are_counted_of_a_policy_that_has_a_memory(movie, counted):
-    domain = replace(movie, policies={"repair": movie.policies["repair"]})
-    assert counted(domain)["turns"] >= 200
 
 
 @pytest.mark.parametrize(
@@ -251,28 +234,13 @@ def test_who_is_always_understood_is_counted_so(restaurant, counted):
         assert_heard_as_meant(state)
 
 
-@pytest.mark.slow
-def test_trained_agents_play_half_of_what_is_counted(movie, counted):
-    tells = SequencePolicy([movie.action_index("inform(zip)")])  # in every turn
-    counts = counted(movie, 800, {"own": tells})
-    assert counts["trained"] == ["own"]
-    told = [row for key, row in counts["acts"].items() if key.startswith("inform ")]
-    assert sum(sum(row.values()) for row in told) > 0.35 * counts["turns"]
-
-
 def test_a_domain_without_counts_is_told_how_to_make_them(restaurant):
     with pytest.raises(ValueError, match=r"errors\.json"):
         load_errors(restaurant)
 
 
 def test_counts_that_are_damaged_or_of_other_slots_are_refused(movie, tmp_path):
-    own = json.loads((movie.folder / ERRORS_FILE).read_text(encoding="utf-8"))
-    pairs = own["requests"]["1 said opening"]
-    damaged = ['{"values": {"opening": 3}}', "[" * 100_000, "{", "[]"]
-    for pair in ([0, 0], [1]):
-        pairs["theater"] = pair
-        damaged.append(json.dumps(own))
-    for content in damaged:
+    for content in ('{"values": {"opening": 3}}', "[" * 100_000, "{", "[]"):
         (tmp_path / ERRORS_FILE).write_text(content, encoding="utf-8")
         with pytest.raises(ValueError, match=str(tmp_path)):
             load_errors(replace(movie, folder=tmp_path))
