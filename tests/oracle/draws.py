@@ -10,10 +10,4 @@ def choose_index(u, count):
 
 def choose_slot(candidates, u, slots):
     """Returns the candidate with the largest uniform, the first of them in slot order on a tie."""
-    best = None
-    for number, slot in enumerate(slots):
-        if slot in candidates and (best is None or u[number] > u[slots.index(best)]):
-            best = slot
-    if best is None:
-        raise ValueError("there is no slot to choose from")
-    return best
+    return max((slot for slot in slots if slot in candidates), key=lambda s: u[slots.index(s)])

@@ -27,8 +27,6 @@ def features(world, tracker, turn):
 
 def marks(chosen, slots):
     """Returns a number for each slot: 1 if it is chosen."""
-    if not chosen:
-        return [0.0] * len(slots)
     return [1.0 if slot in chosen else 0.0 for slot in slots]
 
 

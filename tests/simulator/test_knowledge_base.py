@@ -64,15 +64,3 @@ def test_memory_grows_with_the_records_and_not_with_their_square(movie):
 
     domain = tensorize(movie)
     assert words(4) < 5 * words(1)
-
-
-def test_a_look_up_does_not_grow_with_values_that_no_record_has(restaurant):
-    more = tuple(f"cuisine {n}" for n in range(2_000))
-    values = {**restaurant.error_values, "cuisine": restaurant.error_values["cuisine"] + more}
-    held = torch.zeros(len(restaurant.slots), dtype=torch.long)
-    slot = torch.tensor(restaurant.slots.index("cuisine"))
-    short, long = (
-        KnowledgeBase(tensorize(domain)).counts_by_value(held, slot)[0]
-        for domain in (restaurant, replace(restaurant, error_values=values))
-    )
-    assert torch.equal(short, long)
