@@ -15,6 +15,7 @@ from q_actor import (
     observations,
     values,
 )
+from tensordict import TensorDict
 from tensordict.nn import TensorDictSequential
 from torch import nn
 from torchrl.data import Binary, Categorical, OneHot
@@ -83,6 +84,9 @@ def test_policies_have_specs_keys_and_copies_with_networks_of_their_own():
         assert "action" in policy.out_keys, name
         if not isinstance(policy, TensorDictSequential):
             assert policy.spec["action"] == SPEC, name
+            of_policy, of_actor = map(TensorDict.from_module, (policy, policy.actor))
+            assert set(of_policy.keys(True, True)) == set(of_actor.keys(True, True)), name
+            assert [*policy.state_dict()] == [*policy.actor.state_dict()], name
         values(policy, td)  # where draws are held, the copy holds the same
         found = []
         for made in (policy, deepcopy(policy)):
@@ -137,10 +141,6 @@ def bare():
 REPLICAS = [(), (3,)]
 
 
-def legal_values(policy, td):
-    return policy(td.clone())["action_value"][td["action_mask"]]
-
-
 @pytest.mark.parametrize("replicas", REPLICAS)
 @pytest.mark.parametrize(("mode", "draws"), [("mean", 0), ("average", 4), ("draw", 1)])
 def test_values_are_those_of_the_mean_network_or_the_mean_over_draws(mode, draws, replicas):
@@ -172,7 +172,8 @@ def test_thompson_acts_as_the_policy_that_trains_whatever_the_exploration_type(r
     assert torch.equal(drawn["action_value"], trained["action_value"])
     assert not drawn["action_value"].requires_grad
     legal = td["action_mask"]
-    assert not (legal_values(policy, td) == drawn["action_value"][legal]).any()
+    again = policy(td.clone())["action_value"]
+    assert not (again[legal] == drawn["action_value"][legal]).any()
 
 
 def test_dropout_is_a_posterior():

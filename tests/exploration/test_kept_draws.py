@@ -13,7 +13,6 @@ from bbq_torchrl.exploration import (
     BootstrapSampling,
     EvaluationPolicy,
     Greedy,
-    MajorityVote,
     NoisySampling,
     ThompsonSampling,
 )
@@ -167,42 +166,6 @@ def test_draws_of_inference_mode_are_acted_on_and_redrawn_outside_of_it(make, pe
     values(policy, td)
 
 
-POLICIES = {
-    "greedy": (bayes_actor, Greedy),
-    "vote": (heads_actor, MajorityVote),
-    "heads": (heads_actor, lambda actor: BootstrapSampling(actor, per="round")),
-    "noisy": (noisy_actor, NoisySampling),
-    **{
-        f"thompson {per}": (bayes_actor, lambda actor, per=per: ThompsonSampling(actor, per=per))
-        for per in ("step", "episode", "round")
-    },
-    **{
-        f"evaluation {mode}": (
-            bayes_actor,
-            lambda actor, mode=mode: EvaluationPolicy(actor, mode=mode),
-        )
-        for mode in ("mean", "average", "draw", "thompson")
-    },
-}
-made = pytest.mark.parametrize(("make", "wrap"), POLICIES.values(), ids=POLICIES)
-
-
-def weights(module):
-    """Copies of a module's weights by name."""
-    return TensorDict.from_module(module).data.clone()
-
-
-@made
-def test_a_policy_names_its_weights_as_its_actor_does(make, wrap):
-    actor = make((2,))
-    policy = wrap(actor)
-    assert [*policy.state_dict()] == [*actor.state_dict()]
-    names = [name for name, _ in actor.named_parameters()]
-    assert [name for name, _ in policy.named_parameters()] == names
-    ours, theirs = (TensorDict.from_module(module) for module in (policy, actor))
-    assert set(ours.keys(True, True)) == set(theirs.keys(True, True))
-
-
 def test_a_policy_and_its_actor_train_and_evaluate_together():
     policy = Greedy(bayes_actor())
     policy.eval()
@@ -210,7 +173,7 @@ def test_a_policy_and_its_actor_train_and_evaluate_together():
     assert policy.train().actor.training
 
 
-@pytest.mark.parametrize("name", ["thompson round", "evaluation average", "evaluation draw"])
+@pytest.mark.parametrize("make", [thompson, evaluated, one_draw])
 @pytest.mark.parametrize(
     "change",
     [
@@ -219,28 +182,15 @@ def test_a_policy_and_its_actor_train_and_evaluate_together():
     ],
     ids=["in place", "replaced"],
 )
-def test_draws_of_weights_that_were_synced_are_made_anew(name, change):
-    make, wrap = POLICIES[name]
-    actor, td = make(), observations(6)
-    policy = wrap(actor)
+def test_draws_of_weights_that_were_synced_are_made_anew(make, change):
+    policy, td = make(per="round"), observations(6)
     first = values(policy, td)
     assert torch.equal(values(policy, td), first)
-    new = weights(actor).apply(lambda weight: weight + 1e-3)
-    change(policy, new)
+    weights = TensorDict.from_module(policy).data.clone()
+    change(policy, weights.apply(lambda weight: weight + 1e-3))
     second = values(policy, td)
     assert not (second == first).any()
     assert torch.equal(values(policy, td), second)
-
-
-def test_heads_of_a_round_are_drawn_anew_once_weights_were_synced():
-    policy, td = BootstrapSampling(heads_actor(heads=1000), per="round"), observations(40)
-    values(policy, td)
-    heads = policy.heads
-    values(policy, td)
-    assert torch.equal(policy.heads, heads)
-    TensorDict.from_module(policy).data.apply_(lambda weight: weight.mul_(1.01))
-    values(policy, td)
-    assert (policy.heads != heads).sum() > 30
 
 
 def test_an_episode_under_way_keeps_its_draw_while_weights_are_learned():

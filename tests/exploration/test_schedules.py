@@ -87,16 +87,6 @@ def test_what_is_no_schedule_is_refused(make, start, end, message):
 
 
 @pytest.mark.parametrize("make", [Boltzmann, epsilon])
-@pytest.mark.parametrize("batch", [(3,), (4, 2), ()])
-def test_values_that_do_not_fit_the_batch_are_refused(make, batch):
-    td = TensorDict(action=torch.zeros(batch).long(), batch_size=batch)
-    td["action_value"] = torch.zeros(*batch, 5)
-    td["action_mask"] = torch.ones(*batch, 5).bool()
-    with pytest.raises(RuntimeError):
-        make(STARTS, ENDS, 4)(td)
-
-
-@pytest.mark.parametrize("make", [Boltzmann, epsilon])
 def test_with_success_a_schedule_falls_and_rises_by_a_running_mean(make):
     explore, loaded = (make(STARTS, ENDS, until_success=0.5) for _ in range(2))
     rates = torch.tensor([[0, 1, 1, 1, 0, 0], [0.2, 0, 0, 0, 0, 1], [1, 1, 1, 1, 1, 0]]).double()
