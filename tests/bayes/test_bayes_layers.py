@@ -50,13 +50,6 @@ class Gain(nn.Module):
         return x * self.posterior.weights()
 
 
-class OldGain(Gain):
-    """The same, but it draws without the scope."""
-
-    def forward(self, x):
-        return x * self.posterior.sample()
-
-
 # name -> (layer, the features of an input)
 LAYERS = {
     "linear": (partial(BayesLinear, 4, 3), (4,)),
@@ -125,35 +118,22 @@ def test_shapes_and_local_noise_that_would_be_no_weight_draw_are_refused(name, s
         made(name)[0](torch.randn(shape).double(), mode)
 
 
-def loss_on(*modules, **settings):
-    net = nn.Sequential(*modules)
-    td = transitions(features=3)
-    td["action"].fill_(1)
-    actor = q_actor(net, Categorical(ACTIONS))
-    return BBQNLoss(actor, num_data=100, delay_value=False, **settings), td, net
-
-
-@pytest.mark.parametrize("make", [BayesScale, Gain, OldGain])
+@pytest.mark.parametrize("make", [BayesScale, Gain])
 @pytest.mark.parametrize("beside", [BayesMLP, nn.Linear])
 def test_every_posterior_of_a_network_counts(make, beside):
     own = make(ACTIONS)
     with torch.no_grad():
         own.posterior.mu.fill_(50.0)
-    loss, td, net = loss_on(beside(3, ACTIONS), own, kl_temperature=1.0)
+    net, td = nn.Sequential(beside(3, ACTIONS), own), transitions(features=3)
+    td["action"].fill_(1)
+    actor = q_actor(net, Categorical(ACTIONS))
+    loss = BBQNLoss(actor, num_data=100, kl_temperature=1.0, delay_value=False)
     out = loss(td)
     torch.testing.assert_close(out["kl"], kl_divergence(net))
     assert out["kl"] > 1000
     out["loss"].backward()
     slope = loss.value_network_params["module", "0", "module", "1", "posterior", "mu"].grad
     assert (slope[[0, 2, 3]].abs() > 0.2).all()  # of the KL alone: 50 / prior_std² / 100
-
-
-def test_a_sampled_kl_is_not_taken_for_the_closed_one():
-    loss, td, _ = loss_on(BayesMLP(3, ACTIONS), OldGain(ACTIONS), kl="sampled")
-    with pytest.raises(ValueError, match="sampled"):
-        loss(td)
-    loss, td, _ = loss_on(BayesMLP(3, ACTIONS), Gain(ACTIONS), kl="sampled")
-    assert loss(td)["kl"].isfinite()
 
 
 @pytest.mark.parametrize("kind", ["closed", "sampled"])

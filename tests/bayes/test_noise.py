@@ -44,14 +44,6 @@ def test_torchs_generator_decides_the_numbers(count, dtype):
     assert torch.equal(fill_normal_(out), second)
 
 
-@pytest.mark.parametrize("shape", [(3, 5), (2, 100, 100), (0,), (), "columns"], ids=str)
-def test_any_shape_is_filled_in_place(shape):
-    # columns of a matrix are not contiguous
-    out = torch.full((200, 200), 99.0)[:, :100] if shape == "columns" else torch.full(shape, 99.0)
-    assert fill_normal_(out) is out
-    assert not (out == 99).any()
-
-
 # ------------------------------------------------------------------------- a pool
 
 

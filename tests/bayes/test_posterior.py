@@ -6,7 +6,6 @@ from torch.distributions import Normal, kl_divergence
 from torch.nn.functional import softplus
 
 from bbq_torchrl.bayes import GaussianPosterior, weight_scope
-from bbq_torchrl.bayes.posterior import inverse_softplus
 
 
 def posterior_with(replicas=(), groups=(40, 21), prior_std=(0.1, 0.7)):
@@ -116,9 +115,3 @@ def test_a_draw_with_a_cached_spread_has_a_gradient_in_the_mean_alone():
     assert bool((posterior.mu.grad == 1).all())
     assert posterior.rho.grad is None
     assert torch.equal(cache[posterior], posterior.sigma)
-
-
-@pytest.mark.parametrize("std", [1e-6, 0.1, 1.0, 50.0, 500.0])
-def test_inverse_softplus_inverts_softplus(std):
-    value = torch.tensor(std, dtype=torch.double)
-    torch.testing.assert_close(softplus(inverse_softplus(value)), value)

@@ -11,7 +11,6 @@ from bbq_torchrl.bayes import weight_scope
 from bbq_torchrl.networks import GaussianProcess, q_actor
 from bbq_torchrl.networks.gaussian_process import StateFeatures
 from bbq_torchrl.objectives import GPLoss
-from bbq_torchrl.objectives.gp_loss import posterior_factors, posterior_means
 
 FEATURES, ACTIONS, ROWS = 5, 3, 40
 PRIOR_STD, NOISE_STD, VALUE_STD = 1.5, 0.7, 2.5
@@ -85,22 +84,6 @@ def test_with_all_states_as_inducing_states_it_is_an_exact_gaussian_process(kern
         variance = PRIOR_STD**2 - (cross * torch.linalg.solve(own, cross.T).T).sum(-1)
         torch.testing.assert_close(means[:, action], mean, rtol=0, atol=1e-3)
         torch.testing.assert_close(variances[action], variance, rtol=0, atol=1e-3)
-
-
-def test_factors_and_means_are_those_of_one_regression_on_all_weights():
-    phi, action, target = torch.randn(30, 4).double(), torch.randint(3, (30,)), torch.randn(30)
-    action[action == 1] = 0  # an action without data has its prior
-    design = torch.zeros(30, 3, 4).double()
-    design[range(30), action] = phi
-    design = design.flatten(1)
-    precision = design.T @ design / NOISE_STD**2 + torch.eye(12) / PRIOR_STD**2
-    expected = torch.linalg.solve(precision, design.T @ target.double() / NOISE_STD**2)
-
-    factors = posterior_factors(phi, action, 3, PRIOR_STD, NOISE_STD)
-    means = posterior_means(factors, phi, action, target.double(), NOISE_STD)
-
-    torch.testing.assert_close(means.flatten(), expected)
-    torch.testing.assert_close(torch.block_diag(*(factors.mT @ factors)), precision.inverse())
 
 
 @pytest.mark.parametrize("replicas", [(), (2,), (2, 3)])

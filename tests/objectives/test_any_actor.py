@@ -9,7 +9,6 @@ from torch import nn
 from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import EGreedyModule, QValueActor, QValueModule
-from torchrl.objectives import DQNLoss, HardUpdate
 
 from bbq_torchrl.bayes import BayesConv2d, BayesLinear, kl_divergence
 from bbq_torchrl.exploration import (
@@ -22,9 +21,9 @@ from bbq_torchrl.exploration import (
 )
 from bbq_torchrl.networks import BootstrapMLP, ReplicaNoisyLinear
 from bbq_torchrl.networks.bootstrap import VoteModule
-from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, DropoutDQNLoss, NoisyDQNLoss
+from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, NoisyDQNLoss
 
-ROWS, HIDDEN, PIXELS = 6, 8, (2, 6, 5)
+ROWS, HIDDEN = 6, 8
 SPEC = Categorical(ACTIONS)
 
 
@@ -43,12 +42,9 @@ def sequence(trunk, linear, read=("observation",), write=("hidden",)):
     )
 
 
-def convolutional(linear=BayesLinear, conv=BayesConv2d):
-    layers = conv(2, 3, 3), nn.ReLU(), nn.Flatten(-3), linear(36, HIDDEN), nn.ReLU()
-    return sequence(nn.Sequential(nn.Unflatten(-1, PIXELS), *layers), linear)
-
-
-RECURRENT = {"read": ("observation", "state"), "write": ("hidden", ("next", "state"))}
+def convolutional():
+    layers = BayesConv2d(2, 3, 3), nn.ReLU(), nn.Flatten(-3), BayesLinear(36, HIDDEN), nn.ReLU()
+    return sequence(nn.Sequential(nn.Unflatten(-1, (2, 6, 5)), *layers), BayesLinear)
 
 
 class Cell(nn.GRUCell):
@@ -70,7 +66,8 @@ class BayesCell(nn.Module):
 
 
 def recurrent(linear=BayesLinear, cell=BayesCell):
-    return sequence(cell(60, HIDDEN), linear, **RECURRENT)
+    keys = {"read": ("observation", "state"), "write": ("hidden", ("next", "state"))}
+    return sequence(cell(60, HIDDEN), linear, **keys)
 
 
 def noisy():
@@ -93,22 +90,6 @@ def nested():
 
 
 BAYESIAN = [convolutional, recurrent, nested]
-
-
-@pytest.mark.parametrize("double", [False, True])
-@pytest.mark.parametrize(
-    ("make", "layers"), [(convolutional, (nn.Linear, nn.Conv2d)), (recurrent, (nn.Linear, Cell))]
-)
-def test_the_loss_is_torchrls_dqn_loss(make, layers, double):
-    actor, td = make(*layers), transitions()
-    ours, _ = away(DropoutDQNLoss(actor, action_space="categorical", double_dqn=double, gamma=0.9))
-    theirs = DQNLoss(actor, action_space="categorical", delay_value=True, double_dqn=double)
-    theirs.make_value_estimator(gamma=0.9)
-    HardUpdate(theirs, value_network_update_interval=0)
-    theirs.target_value_network_params.update_(ours.target_value_network_params)
-    if make is recurrent:  # TorchRL's goes on from the state that it has just computed
-        td["next", "state"] = actor(td.exclude("next"))["next", "state"].detach()
-    torch.testing.assert_close(ours(td.copy())["loss"], theirs(td.copy())["loss"])
 
 
 @pytest.mark.parametrize(

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from q_transitions import ACTIONS, FEATURES, HEADS, bayes_loss, heads_loss, plain_loss, transitions
+from q_transitions import ACTIONS, FEATURES, bayes_loss, heads_loss, plain_loss, transitions
 from torch import nn
 from torch.nn.functional import one_hot
 from torchrl.data import Categorical
@@ -68,14 +68,6 @@ def test_a_batch_that_lacks_an_entry_or_has_one_of_another_shape(make, key, spoi
     spoil(td)
     with pytest.raises((KeyError, ValueError), match=key):
         loss(td)
-
-
-@pytest.mark.parametrize("shape", [(2, 32, HEADS + 1), (2, 32), (2, 31, HEADS)])
-def test_a_mask_of_other_heads(shape):
-    td = transitions((2,)).auto_batch_size_(1)
-    td["bootstrap_mask"] = torch.ones(shape).bool()
-    with pytest.raises(RuntimeError):
-        heads_loss((2,))[0](td)
 
 
 @pytest.mark.parametrize(("margin", "factor"), [(0, 1), (1, 0), (float("nan"), 1)])

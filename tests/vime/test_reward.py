@@ -142,14 +142,6 @@ def test_the_bonus_is_added_to_the_reward_that_is_read_and_to_no_stored_one():
     assert torch.equal(other[:][REWARD], memory[:][REWARD])
 
 
-def test_what_is_read_is_not_changed_and_may_be_a_view():
-    vime = transform(eta=1.0)
-    rows = vime.inv(transitions(3, 8))
-    before = rows.clone()
-    assert torch.equal(vime(rows)[REWARD][:, :4], vime(rows[:, :4])[REWARD])
-    assert (rows == before).all()
-
-
 def test_replicas_may_have_an_eta_each_which_follows_the_rows_to_their_device():
     eta, td = torch.tensor([0.1, 0.2, 0.3]), transitions(3, 6)
     vime = transform((3,), eta=eta)
