@@ -10,6 +10,7 @@ if __name__ == "__main__":  # before anything that takes time to import
 import argparse
 import os
 import pkgutil
+import socket
 import sys
 from collections.abc import Callable, Sequence
 from contextlib import closing, suppress
@@ -17,11 +18,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from bbq_torchrl.people.study.address import Address, listen
-from bbq_torchrl.people.study.plan import data_of, load_study
+from bbq_torchrl.people.study.plan import Address, data_of, load_study
 from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.output import between, needed, page
-from bbq_torchrl.utils.text import shown
+from bbq_torchrl.utils.text import sentence, shown
 
 TALKER = "bbq_torchrl.people.study.players:make_talker"
 USERS = "bbq_torchrl.people.study.players:make_users"
@@ -120,6 +120,20 @@ def _serve(given: argparse.Namespace) -> None:
                 timeout_graceful_shutdown=10,
             )
             uvicorn.Server(config).run(sockets=[listener])
+
+
+def listen(host: str, port: int) -> socket.socket:
+    """Returns a listening socket; clients that connect wait until they are served.
+
+    Raises:
+        ValueError: it cannot listen there.
+    """
+    try:
+        family = socket.AF_INET6 if ":" in host else socket.AF_INET
+        return socket.create_server((host, port), family=family)
+    except (OSError, UnicodeError) as error:  # UnicodeError: an invalid host name
+        text = f"--host {shown(host)} and --port {port} cannot be served: {sentence(error)}"
+        raise ValueError(text) from error
 
 
 def _simulate(given: argparse.Namespace) -> None:

@@ -1,7 +1,8 @@
-"""The study file: a study's domain, agents and tasks, all checked."""
+"""The study file: a study's domain, agents, tasks and address, all checked."""
 
 from __future__ import annotations
 
+import re
 from dataclasses import dataclass, replace
 from itertools import chain
 from os.path import expanduser
@@ -10,7 +11,6 @@ from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains.folder import SHIPPED, named_domain
 from bbq_torchrl.people.dialogue.judge import Judge
-from bbq_torchrl.people.study.address import ADDRESS
 from bbq_torchrl.settings import (
     PROBABILITY,
     REQUIRED,
@@ -42,6 +42,61 @@ MAY_CHANGE = ("participants", "contact", "url", *_RECRUITING)
 
 class StudyError(FaultsError):
     """A study file or study data that cannot be used."""
+
+
+_PATTERN = re.compile(
+    r"(https?://(?:\[[0-9a-f:.]+\]|[\w.-]+)(?::\d{1,5})?)((?:/[\w.~-]+)*)/?",
+    re.ASCII | re.IGNORECASE,
+)
+
+
+@dataclass(frozen=True)
+class Address:
+    """The address at which people reach a study.
+
+    Attributes:
+        origin: scheme, host and port, as browsers send them: ``https://lab.example``; empty if
+            it comes from the ``Host`` of a request.
+        prefix: path prefix of all pages, without a trailing slash: ``/study``.
+    """
+
+    origin: str = ""
+    prefix: str = ""
+
+    @classmethod
+    def of(cls, url: str) -> Address:
+        """Returns the address that a URL of :data:`ADDRESS` names.
+
+        Examples:
+            >>> Address.of("https://Lab.example/study/")
+            Address(origin='https://lab.example', prefix='/study')
+        """
+        found = _PATTERN.fullmatch(url)
+        return cls(found[1].lower(), found[2]) if found else cls()
+
+    def link(self, path: str) -> str:
+        """Returns the link to a page."""
+        return f"{self.origin}{self.prefix}{path}"
+
+    def inner(self, path: str) -> str:
+        """Returns the page's path from a request's path, with or without the prefix.
+
+        Examples:
+            >>> address = Address.of("https://lab.example/study")
+            >>> address.inner("/study/p/x/"), address.inner("/p/x")
+            ('/p/x', '/p/x')
+        """
+        if path.startswith(f"{self.prefix}/"):
+            path = path.removeprefix(self.prefix)
+        return path.rstrip("/") or "/"
+
+
+def _is_address(value: Any) -> bool:
+    return isinstance(value, str) and (value == "" or bool(_PATTERN.fullmatch(value)))
+
+
+ADDRESS = Allowed("an address such as https://lab.example/study/", _is_address)
+"""The values of a study's ``url``."""
 
 
 def _is_pair(value: Any) -> bool:

@@ -20,9 +20,9 @@ from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
 from bbq_torchrl.people.dialogue.judge import card
-from bbq_torchrl.people.study.address import Address
 from bbq_torchrl.people.study.conversations import Conversations, RefusedError, ids_of
 from bbq_torchrl.people.study.database import StoreError, current
+from bbq_torchrl.people.study.plan import Address
 from bbq_torchrl.people.study.storage import ForgottenError
 from bbq_torchrl.utils.text import MAX_CHARACTERS, shown
 

@@ -6,8 +6,8 @@ from contextlib import closing
 
 import pytest
 
-from bbq_torchrl.people.study.__main__ import main
-from bbq_torchrl.people.study.address import ADDRESS, Address, listen
+from bbq_torchrl.people.study.__main__ import listen, main
+from bbq_torchrl.people.study.plan import ADDRESS, Address
 
 from .conftest import RATED, hidden, published
 from .served import free_port

@@ -5,7 +5,7 @@ from itertools import pairwise
 
 import pytest
 
-from bbq_torchrl.people.study.latin_square import assignments, williams_rows
+from bbq_torchrl.people.study.storage import assignments, williams_rows
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6, 7, 10])
