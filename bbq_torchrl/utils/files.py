@@ -8,7 +8,6 @@ import io
 import os
 import re
 from collections.abc import Iterable, Mapping
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -63,7 +62,7 @@ def numbers_in_order(folder: Path | str) -> list[tuple[bool, int, str]]:
     return [(part.isdecimal(), int(part) if part.isdecimal() else 0, part) for part in parts]
 
 
-def write_text(path: Path, text: str, mode: int = 0o666) -> None:
+def write_text(path: Path, text: str) -> None:
     """Writes a file atomically: readers, and a crash, leave the old or the new text, never a part.
 
     Every command writes its files by it. A symbolic link is replaced, its target stays as it is.
@@ -71,22 +70,20 @@ def write_text(path: Path, text: str, mode: int = 0o666) -> None:
     Args:
         path: the file.
         text: its whole content.
-        mode: the permissions, before the umask.
 
     Raises:
         OSError: the file cannot be written, or is a device, pipe or folder.
     """
-    write_bytes(path, text.encode(), mode)
+    write_bytes(path, text.encode())
 
 
-def write_bytes(path: Path, content: bytes, mode: int = 0o666) -> None:
+def write_bytes(path: Path, content: bytes) -> None:
     """Writes bytes as :func:`write_text` writes text."""
     if path.exists() and not path.is_file():  # root would replace /dev/null
         raise OSError(errno.EINVAL, "not a regular file", str(path))
     temporary = path.with_name(f".{path.name}.new")
     temporary.unlink(missing_ok=True)  # left by a killed process, or a planted link
-    opened = partial(os.open, mode=mode)
-    with open(temporary, "xb", opener=opened) as file:  # O_CREAT | O_EXCL, which follows no link
+    with open(temporary, "xb") as file:  # O_CREAT | O_EXCL, which follows no link
         file.write(content)
         file.flush()
         os.fsync(file.fileno())

@@ -92,7 +92,7 @@ def binomial_standard_error(rate: float, dialogues: int) -> float:
     return math.sqrt(rate * (1 - rate) / dialogues)
 
 
-def interquartile_mean(values: Any, axis: int = -1) -> Any:
+def interquartile_mean(values: Any) -> Any:
     """Returns the mean of the middle half: ``int(n / 4)`` of n values are dropped at each end.
 
     The 25 % trimmed mean of Agarwal et al. (2021, "Deep RL at the edge of the statistical
@@ -102,7 +102,7 @@ def interquartile_mean(values: Any, axis: int = -1) -> Any:
         >>> float(interquartile_mean([0.0, 1.0, 2.0, 3.0, 100.0]))
         2.0
     """
-    return stats.trim_mean(np.asarray(values, dtype=float), 0.25, axis=axis)
+    return stats.trim_mean(np.asarray(values, dtype=float), 0.25, axis=-1)
 
 
 def estimate(

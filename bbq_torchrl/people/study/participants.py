@@ -16,6 +16,7 @@ from bbq_torchrl.utils.statistics import CONFIDENCE, ROUNDING, Estimate, estimat
 
 _MAX_SUMS = 5_000_000
 _RANDOM_FLIPS = 99_999
+_RESAMPLES = 2_000
 
 
 def proportion(by_person: Collection[Sequence[bool]]) -> Estimate:
@@ -112,7 +113,6 @@ def bootstrap(
     statistic: Callable[[Any, Any], Any],
     by_person: Sequence[Sequence[tuple[float, float]]],
     doubtful: Sequence[Sequence[tuple[float, float]]],
-    resamples: int = 2_000,
 ) -> Estimate:
     """Returns a statistic with its 95 % percentile bootstrap interval over participants.
 
@@ -122,7 +122,6 @@ def bootstrap(
         by_person: the values of each participant's sessions.
         doubtful: participants who are added if all resamples are equal, such as those of a few
             sessions that all agree: they give the interval a width.
-        resamples: the number of bootstrap samples.
     """
     people = [person for person in by_person if person]
     if not people:
@@ -133,7 +132,7 @@ def bootstrap(
             return Estimate(value, spec=".2f")
         for drawn_from in (people, [*people, *doubtful]):
             count = len(drawn_from)
-            times = np.random.default_rng(0).multinomial(count, [1 / count] * count, resamples)
+            times = np.random.default_rng(0).multinomial(count, [1 / count] * count, _RESAMPLES)
             drawn = statistic(*_sessions(drawn_from, times))
             ends = [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2]
             low, high = np.nanquantile(drawn, ends).tolist()
