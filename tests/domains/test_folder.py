@@ -95,7 +95,6 @@ def test_a_missing_file_is_named(folder, names):
 EDITED = [
     (YAML, "name: restaurant", "name: 3", ["name", "3"]),
     (YAML, "name: restaurant", "nam: restaurant", ["nam is not a key", "name must be given"]),
-    (YAML, "turn_width: 24", "turn_width: true", ["turn_width", "True"]),
     (YAML, "turn_width: 24", "turn_width: 24\nturn_width: 4", ["turn_width"]),
     (YAML, "opening_slot: null", "opening_slot: 3", ["opening_slot", "3"]),
     (YAML, "essential: [table", "essential: table #[", ["essential", "'table'"]),
@@ -103,19 +102,15 @@ EDITED = [
     (YAML, "  act: [thanks", "  act: [3", ["actions", "3"]),
     (YAML, "kind: script", "sort: script", ["policies.rule", "kind", "sort"]),
     (YAML, "  rule:", "  rule: play\n  other:", ["policies.rule", "'play'"]),
-    (CSV, "italian", "I do not care", ["line 2", "cuisine", "'I do not care'"]),
     (CSV, "area,day", "area,area", ["area"]),
     (CSV, "saturday", "saturday,x", ["line 2", "9", "8"]),
     (CSV, "italian", '"italian', [CSV]),
-    (GOALS, '"cuisine"', '"kitchen"', ["line 1", "'kitchen'", "cuisine"]),
     (GOALS, "indian", "martian", ["line 1", "cuisine", "'martian'", VALUES]),
     (GOALS, '{"constraints"', "{", ["line 1"]),
     (GOALS, '"constraints"', '"wishes"', ["line 1", "constraints", "wishes"]),
     (GOALS, '"requests": []', '"requests": "area"', ["line 1", "requests", "'area'"]),
     (GOALS, '"requests": []', '"requests": [9e999999]', ["line 1", "requests", "inf"]),
     (GOALS, '"area"', '"cuisine"', ["line 1", "'cuisine'"]),
-    (VALUES, '"cuisine"', '"kitchen"', ["'kitchen'", "cuisine"]),
-    (VALUES, '"cuisine"', '"party_size"', ["'party_size'"]),
 ]
 BOMB = ", ".join(f"&a{n + 1} [*a{n}, *a{n}]" for n in range(60))
 WRITTEN = [
@@ -125,7 +120,6 @@ WRITTEN = [
     (YAML, f"a: [&a0 [x, x], {BOMB}]", []),
     (YAML, "!!python/object/apply:os.system [touch marker]", [YAML]),
     (CSV, "", ["header"]),
-    (CSV, "area,day\n", ["records"]),
     (CSV, "area,day\nnorth,today", ["last line"]),
     (CSV, 'area,day\n"no\nrth",today\n,\n', ["line 2: area", "line 4"]),
     (GOALS, "", ["goals"]),
@@ -134,7 +128,6 @@ WRITTEN = [
     (GOALS, "[" * 50_000, ["line 1"]),
     (VALUES, "{}", [VALUES]),
     (VALUES, "[]", ["[]"]),
-    (VALUES, '{"area": []}', ["area must list at least one value"]),
     (VALUES, '{"area": "south"}', ["area", "'south'"]),
     (VALUES, '{"area": [3]}', ["area", "[3]"]),
     (VALUES, "[" * 50_000, [VALUES]),

@@ -115,25 +115,6 @@ def test_what_is_left_out_or_changed_is_said_by_file(imported, tmp_path):
     assert domain.error_values["pickup"] == (*PICKUPS, "the moon")
 
 
-@pytest.mark.slow
-def test_the_public_movies_can_be_imported_and_play_as_they_do(tcbot, miulab, tmp_path, capsys):
-    files = ("slot_set.txt", "dia_acts.txt", "movie_kb.1k.p")
-    files += ("user_goals_first_turn_template.v2.p", "dicts.v3.p")
-    essential = [slot for slot in miulab.essential if slot not in miulab.special_slots]
-    choices = ["--ticket", "ticket", "--essential", ",".join(essential), "--name", "films"]
-    choices += ["--free", "numberofpeople,closing", "--opening", "moviename"]
-    given = [*(str(tcbot / name) for name in files), str(tmp_path / "new"), *choices]
-    assert calibrate.main(["import", *given]) == 0
-    assert "respelled" in capsys.readouterr().out
-    domain = load_domain(tmp_path / "new")
-    assert domain.name == "films"
-    assert (domain.slots, domain.acts) == (miulab.slots, miulab.acts)
-    assert (len(domain.records), len(domain.goals)) == (len(miulab.records), len(miulab.goals))
-    assert {*miulab.essential} == {*domain.essential}
-    # Goals and records are MiuLab's except for blanks, so the best script books as often.
-    assert abs(played(domain, "repair") - played(miulab, "repair")) < 0.05
-
-
 REFUSED = {
     "a ticket that is no slot": (["--ticket", "cab", *CHOICES[2:]], {}, "ticket .*'cab'"),
     "an essential that is none": (

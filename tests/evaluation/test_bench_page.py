@@ -46,16 +46,8 @@ def test_averages_are_over_what_all_agents_have_finished():
     )
     middle = np.sort(np.ravel(both[0]))[2:-2].mean()
     assert f"| a | {middle:.3f} [" in iqm
-
-
-def test_a_level_that_few_seeds_reach_is_censored():
-    table = str(page()).split("### movie, errors 0\n")[1]
-    assert "| 40 (3 of 5) |" in table
-
-
-def test_what_is_missing_comes_first():
-    text = str(page(missing=["b on hotel, errors 0.2 (not trained)"]))
-    assert text.startswith("# Benchmark\n\n**Missing:** b on hotel, errors 0.2 (not trained).\n")
+    movie = text.split("### movie, errors 0\n")[1]
+    assert "| 40 (3 of 5) |" in movie  # a level that few seeds reach
 
 
 def test_figures_are_drawn(tmp_path):

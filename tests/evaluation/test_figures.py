@@ -105,33 +105,23 @@ def test_evaluations_are_the_main_line_with_training_success_behind_it(draw):
     ]
 
 
-def test_a_comparison_has_a_band_for_five_seeds_and_none_for_fewer():
-    figure = draw_comparison({"": [group(5, label="BBQN"), group(4)]}, title="both")
-    (axes,) = figure.axes
-    assert len(axes.get_lines()) == 5 + 1 + 4 + 1
-    (band,) = axes.collections
-    mean = axes.get_lines()[5].get_ydata()
-    points = band.get_paths()[0].vertices
-    for number in (0, 15, 29):
-        ends = points[points[:, 0] == number, 1]
-        assert ends.min() < mean[number] < ends.max()
-    assert labels(figure) == [
-        "BBQN (5 seeds, mean of 10 rounds)",
-        "DQN (4 seeds, mean of 10 rounds)",
-    ]
-
-
 def test_panels_stand_side_by_side_with_legends_of_their_own_and_the_references():
     common, other = group(5, label="BBQN-MAP"), group(2, label="DQN")
     panels = {"BBQN": [common], "DQN": [common, other]}
+    seeds = ["BBQN-MAP (5 seeds, mean of 10 rounds)", "DQN (2 seeds, mean of 10 rounds)"]
+    assert labels(draw_comparison({"": [common, other]}, title="both")) == seeds
     figure = draw_comparison(panels, title="both", references=BESIDE)
     assert [axes.get_title() for axes in figure.axes] == ["BBQN", "DQN"]
     # Five seeds and their mean; two others and theirs; the references.
     assert [len(axes.get_lines()) for axes in figure.axes] == [6 + 2, 6 + 3 + 2]
+    (band,) = figure.axes[1].collections  # of five seeds, and none of fewer
+    mean, points = figure.axes[1].get_lines()[5].get_ydata(), band.get_paths()[0].vertices
+    for number in (0, 15, 29):
+        ends = points[points[:, 0] == number, 1]
+        assert ends.min() < mean[number] < ends.max()
     colors = [axes.get_lines()[5].get_color() for axes in figure.axes]
     assert colors[0] == colors[1] != figure.axes[1].get_lines()[8].get_color()
     shown = [[text.get_text() for text in axes.get_legend().get_texts()] for axes in figure.axes]
-    seeds = ["BBQN-MAP (5 seeds, mean of 10 rounds)", "DQN (2 seeds, mean of 10 rounds)"]
     assert shown == [[seeds[0], *LINES], [*seeds, *LINES]]
     assert not figure.legends
 

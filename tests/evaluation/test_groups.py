@@ -124,38 +124,27 @@ def test_references_are_drawn_where_all_runs_have_the_same_users(add):
     assert references(read_groups([first, harder])) == {}
 
 
+NONE, VIME = {"name": "none"}, {"name": "vime", "weights": "map"}
+
+
 @pytest.mark.parametrize(
-    ("agent", "explore", "others", "name"),
+    ("agent", "keys", "explore", "intrinsic", "name"),
     [
         # a target and a gain that differ are both named
-        *(
-            ({"name": "bbqn", "target": target}, explore, {"name": "vime", "weights": "map"}, name)
-            for target, explore, name in (
-                ("mc", "thompson", "BBQN-MC-VIME-MAP"),
-                ("map", "thompson_boltzmann", "Soft BBQN-VIME-MAP"),
-                ("map", "greedy", "BBQN-VIME-MAP, explore=greedy"),
-            )
-        ),
-        ({"name": "dqn", "double": True}, "boltzmann", {"name": "none"}, "Double DQN-Boltzmann"),
-        (
-            *({"name": "dqn", "noisy": True}, "epsilon_greedy", {"name": "none"}),
-            "Noisy DQN, explore=epsilon_greedy",
-        ),
-        ({"name": "bootstrap"}, "greedy", {"name": "none"}, "DQN-Bootstrap, explore=greedy"),
+        ("bbqn", {"target": "mc"}, "thompson", VIME, "BBQN-MC-VIME-MAP"),
+        ("bbqn", {"target": "map"}, "thompson_boltzmann", VIME, "Soft BBQN-VIME-MAP"),
+        ("bbqn", {"target": "map"}, "greedy", VIME, "BBQN-VIME-MAP, explore=greedy"),
+        ("dqn", {"double": True}, "boltzmann", NONE, "Double DQN-Boltzmann"),
+        ("dqn", {"noisy": True}, "epsilon_greedy", NONE, "Noisy DQN, explore=epsilon_greedy"),
+        ("bootstrap", {}, "greedy", NONE, "DQN-Bootstrap, explore=greedy"),
         # a name leaves out the keys of a user's options
-        (
-            {"name": "polyak", "target": 0.005, "noisy": 0.1},
-            *("boltzmann", {"name": "none"}, "POLYAK, explore=boltzmann"),
-        ),
-        (
-            *({"name": "bbqn", "target": "mc"}, "thompson", {"name": "novelty", "weights": "mc"}),
-            "BBQN-MC-NOVELTY",
-        ),
+        ("polyak", {"target": 0.005, "noisy": 0.1}, "greedy", NONE, "POLYAK, explore=greedy"),
+        ("bbqn", {"target": "mc"}, "thompson", VIME | {"name": "novelty"}, "BBQN-MC-NOVELTY"),
     ],
 )
-def test_an_agent_is_named_by_the_keys_that_the_paper_has(agent, explore, others, name):
-    config = {"agent": agent, "explore": {"name": explore}, "intrinsic": others}
-    assert agent_name(config) == name
+def test_an_agent_is_named_by_the_keys_that_the_paper_has(agent, keys, explore, intrinsic, name):
+    config = {"agent": {"name": agent, **keys}, "explore": {"name": explore}}
+    assert agent_name(config | {"intrinsic": intrinsic}) == name
 
 
 GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]

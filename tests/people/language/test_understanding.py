@@ -184,20 +184,10 @@ def test_an_understander_is_kept_where_only_its_user_can_write(understand, tmp_p
     assert trained == [1, 1, 1]  # a folder of somebody else is not believed
 
 
-def test_measuring_leaves_a_trained_file_alone(understand, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "movie.language.npz").write_text("trained")
-    monkeypatch.setattr(Understander, "train", lambda *args, **given: understand)
-    monkeypatch.setattr(command, "score_grammar", lambda *args: {"sentences": 3})
-    monkeypatch.setattr(command, "measure_round_trip", lambda *args: {})
-    assert command.main(["measure", "--out", "new/figures.json", "--dialogues", "9"]) == 0
-    assert (tmp_path / "movie.language.npz").read_text() == "trained"
-    assert json.loads((tmp_path / "new" / "figures.json").read_text())["megabytes"] > 0
-
-
 def test_a_domain_of_ones_own_is_measured_by_what_it_has(tmp_path, monkeypatch, capsys, restaurant):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setattr("bbq_torchrl.people.language.measure._MADE", 50)
+    Path("restaurant.language.npz").write_text("trained")
     understood = Understander.train(restaurant, sentences=40)
     monkeypatch.setattr(Understander, "train", lambda *_, **__: understood)
     given = ["measure", "--domain", str(DATA / "restaurant"), "--dialogues", "20"]
@@ -206,14 +196,16 @@ def test_a_domain_of_ones_own_is_measured_by_what_it_has(tmp_path, monkeypatch, 
     figures = json.loads(Path("restaurant.language.json").read_text())
     assert figures["grammar"]["sentences"] == 50
     assert "free" not in figures
+    assert figures["megabytes"] > 0
+    assert Path("restaurant.language.npz").read_text() == "trained"
 
     (tmp_path / "said").mkdir()
     (tmp_path / "said" / "anna.txt").write_text(
         " | hello | greeting\nrequest(area) | bye | closing"
     )
-    assert command.main([*given, "--data", "said", "--out", "own.json"]) == 0
+    assert command.main([*given, "--data", "said", "--out", "new/own.json"]) == 0
     assert "--data" not in capsys.readouterr().err
-    assert json.loads(Path("own.json").read_text())["anna"]["sentences"] == 2
+    assert json.loads(Path("new/own.json").read_text())["anna"]["sentences"] == 2
 
 
 def test_a_folder_without_labeled_sentences_is_refused_before_learning(tmp_path, monkeypatch):

@@ -30,7 +30,7 @@ class FakeTalker:
         known = {slot: v for slot, v in held.items() if slot not in self.domain.free_slots}
         records = self.domain.records
         rows = [r for r in records if all(fold(r.get(s, "")) == fold(known[s]) for s in known)]
-        said, answer = Frame("request", {}, ("city",)), f"Which city? ({len(text)} letters)"
+        said, answer = Frame("request", heard, ("city",)), f"Which city? ({len(text)} letters)"
         if asked:
             row = next((row for row in rows if set(asked) <= set(row)), {})
             values = {slot: row.get(slot, "no match") for slot in asked}

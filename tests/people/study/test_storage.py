@@ -166,14 +166,6 @@ def test_a_file_or_folder_that_is_not_there_is_a_sentence(open_store, study, tmp
         pass
 
 
-def test_a_block_that_fails_stores_nothing(open_store):
-    store = open_store()
-    secret = store.rows("SELECT secret FROM study")
-    with pytest.raises(ZeroDivisionError), store.transaction() as connection:
-        0 / len(connection.execute("UPDATE study SET secret = 'x'").fetchall())
-    assert store.rows("SELECT secret FROM study") == secret
-
-
 @pytest.mark.parametrize("pragma", ["max_page_count = 1", "query_only = ON"])
 def test_what_cannot_be_written_is_a_sentence_and_keeps_what_was_stored(open_store, study, pragma):
     store = open_store(replace(study.terms, participants=1_000))
