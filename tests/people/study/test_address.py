@@ -21,9 +21,7 @@ TO_SERVER = {"base_url": "http://127.0.0.1:8000", "follow_redirects": False}
 @pytest.mark.parametrize(
     ("url", "origin", "prefix"),
     [
-        ("https://lab.example", "https://lab.example", ""),
         ("HTTPS://Lab.Example/Study/", "https://lab.example", "/Study"),
-        ("http://10.0.0.5", "http://10.0.0.5", ""),
         ("http://[::1]:8000/a/b-c_d.e~f", "http://[::1]:8000", "/a/b-c_d.e~f"),
         ("", "", ""),
     ],
@@ -33,16 +31,13 @@ def test_an_address_is_read_as_browsers_write_its_origin(url, origin, prefix):
     assert Address.of(url) == Address(origin, prefix)
 
 
-@pytest.mark.parametrize(
-    "url",
-    [
+def test_what_is_no_address_of_a_study_is_refused():
+    for url in (
         *("lab.example", "ftp://lab.example", "https://", "https://lab.example/#study", 7),
         *("https://lab.example/?a=b", "https://me@lab.example", "https://lab.example/a b"),
         *("https://lab.example//study", "https://lab.example/%41", "javascript:alert(1)"),
-    ],
-)
-def test_what_is_no_address_of_a_study_is_refused(url):
-    assert not ADDRESS.test(url)
+    ):
+        assert not ADDRESS.test(url), url
 
 
 @pytest.mark.parametrize(
@@ -122,11 +117,3 @@ def test_a_port_in_use_is_a_sentence_before_anything_loads(tmp_path, capsys):
     said = capsys.readouterr()
     assert (said.out, said.err.count("\n")) == ("", 1)
     assert f"--port {port}" in said.err
-
-
-@pytest.mark.parametrize("host", ["no.such.host.invalid", "192.0.2.1", "x" * 300, "..", "1::zz"])
-def test_a_host_that_is_not_this_machine_is_a_sentence(host, capsys):
-    assert main(["serve", "no.yaml", "--host", host]) == 2
-    told = capsys.readouterr().err
-    assert told.startswith(f"error: --host '{host[:9]}")
-    assert told.count("\n") == 1

@@ -64,33 +64,6 @@ def say(page, text):
     page.wait_for_load_state()
 
 
-def messages(page):
-    return page.locator("li.you q").all_inner_texts()
-
-
-def test_reload_and_back_lose_and_repeat_nothing(visit):
-    page = visit()
-    say(page, "first of reload")
-    page.reload()
-    assert messages(page) == ["first of reload"]
-    say(page, "second of reload")
-    page.go_back()
-    page.wait_for_load_state()
-    page.reload()
-    assert messages(page) == ["first of reload", "second of reload"]
-
-
-@pytest.mark.parametrize("script", [True, False], ids=["with script", "without script"])
-def test_a_double_click_sends_once(visit, script):
-    page = visit(java_script_enabled=script)
-    text = f"twice {script}"
-    page.get_by_label("Your message").fill(text)
-    page.get_by_role("button", name="Send").dblclick()
-    page.wait_for_selector("li.it")  # the answer: the address is the same before it
-    page.goto(page.url.replace("/say", ""))
-    assert messages(page) == [text]
-
-
 def test_the_keyboard_alone_is_enough(visit):
     page = visit()
     page.keyboard.type("city=philly")  # the message field has the focus

@@ -20,7 +20,7 @@ def test_wrong_guessed_and_other_links_get_the_same_page(site):
         f"/p/{token[:-1]}{'A' if token[-1] != 'A' else 'B'}",
         *("/p/1", f"/p/{'x' * 5_000}", f"/p/{other}", f"/r/{token}", f"/join/{token}"),
         *("/p/%00", "/p/%ff%fe", "/", "/nothing", "/static/../study.sqlite", "/static/nothing"),
-        *("/static", "/static/"),
+        *("/static", "/static/", f"/r/{token}/1"),
         *(f"/r/{other}/{session}" for session in ("999", "9" * 5_000, "-1", "one", "%D9%A1")),
     )
     pages = [site.client.get(path) for path in paths]

@@ -2,7 +2,7 @@
 
 import os
 import sqlite3
-from contextlib import closing
+from contextlib import ExitStack, closing
 from dataclasses import replace
 
 import pytest
@@ -17,16 +17,13 @@ NONCES = [f"nonce-number-{number:010d}" for number in range(50)]
 
 @pytest.fixture
 def open_store(study, clock):
-    opened = []
+    with ExitStack() as stack:
 
-    def make(terms=study.terms, *, path=study.path):
-        served = replace(study, terms=terms, path=path)
-        opened.append(Store(served, FakeTalker(study.domain), clock=clock))
-        return opened[-1]
+        def make(terms=study.terms):
+            store = Store(replace(study, terms=terms), FakeTalker(study.domain), clock=clock)
+            return stack.enter_context(closing(store))
 
-    yield make
-    for store in opened:
-        store.close()
+        yield make
 
 
 def test_the_file_is_as_safe_as_sqlite_makes_it(open_store):
@@ -156,14 +153,6 @@ def test_a_file_that_is_newer_damaged_or_foreign_is_refused_and_left_as_it_is(
     with pytest.raises(StoreError), opened(study.data):
         pass
     assert study.data.read_bytes() == content
-
-
-def test_a_file_or_folder_that_is_not_there_is_a_sentence(open_store, study, tmp_path):
-    (tmp_path / "locked.sqlite.lock").mkdir()
-    with pytest.raises(OSError, match="locked"):
-        open_store(path=tmp_path / "locked.yaml")
-    with pytest.raises(StoreError, match="has not been served yet"), opened(study.data):
-        pass
 
 
 @pytest.mark.parametrize("pragma", ["max_page_count = 1", "query_only = ON"])
