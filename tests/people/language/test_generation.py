@@ -1,4 +1,3 @@
-import random
 import re
 from dataclasses import replace
 
@@ -16,7 +15,6 @@ from bbq_torchrl.people.language import (
 )
 from bbq_torchrl.people.language.corpus import make_examples, play
 from bbq_torchrl.people.language.lexicon import Lexicon
-from bbq_torchrl.people.language.phrases import Piece, expand, is_possible, parse, plain
 
 SPOILT = re.compile(r"[{}<>\[\]|]|[a-z]_[a-z]|moviename|starttime|numberof|taskcomplete|mc_list")
 
@@ -97,13 +95,6 @@ def test_a_domain_without_phrases_speaks_by_generic_ones(restaurant):
     asked = {speak.user(frame, session=s).lower() for s in range(60)}
     assert all("cuisine" in text and "area" in text for text in asked)
     assert len(asked) > 40
-
-
-def test_a_slot_that_is_called_as_a_rule_is_not_taken_for_it():
-    values = {"name": [Piece("Nando's", "name")], "<name>": [Piece("restaurant")]}
-    said = expand(parse("the <name> is {}", "name"), values, {}, random.Random(0))
-    assert plain(said) == "the restaurant is Nando's"
-    assert not is_possible(parse("the <name>"), {"name": [Piece("Nando's")]}, {})
 
 
 def test_no_sentence_of_the_grammar_tells_what_it_asks_for(lexicon):

@@ -65,12 +65,6 @@ def test_what_chance_alone_gives_a_calibration_error_is_told():
     assert calibration_floor(many) < 0.008
 
 
-@pytest.mark.parametrize("sentences", [0, -1])
-def test_nothing_is_no_number_of_sentences_to_learn_from(sentences):
-    with pytest.raises(ValueError, match="sentences"):
-        Understander.train(movie_domain(), sentences=sentences)
-
-
 def test_both_files_of_lines_in_a_domains_folder_are_learned(understand, tmp_path):
     question = Frame("request", {}, ("city",))
     sentences = {"learned.txt": "flibber flobber", "drilled.txt": "wozzle wizzle"}
