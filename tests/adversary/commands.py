@@ -66,16 +66,6 @@ class Command:
         written = (path.read_text() for path in self._files)
         return Ended(os.waitstatus_to_exitcode(status), *written, used.ru_utime + used.ru_stime)
 
-    def works_in(self, folder):
-        """True while the process has the lock of a run folder."""
-        process = Path(f"/proc/{self.pid}")
-        return any(
-            # An open file is not locked yet.
-            os.path.realpath(link) == os.fspath(folder / ".lock")
-            and "FLOCK" in (process / "fdinfo" / link.name).read_text()
-            for link in (process / "fd").iterdir()
-        )
-
     def until(self, is_so):
         """Waits for a condition, which must become true before the process ends."""
         while not is_so():

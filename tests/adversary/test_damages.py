@@ -33,20 +33,7 @@ def zero(content, rng):
     return content[:start] + bytes(length) + content[start + length :]
 
 
-def insert(content, rng):
-    place = rng.randrange(len(content))
-    return content[:place] + rng.randbytes(rng.choice([1, 100, 5000])) + content[place:]
-
-
-def append(content, rng):
-    return content + rng.randbytes(rng.choice([1, 100, 70000]))
-
-
-def replace(content, rng):
-    return rng.choice([b"", b"PK", rng.randbytes(1000), content[len(content) // 2 :]])
-
-
-BYTES = (cut, flip, zero, insert, append, replace)
+BYTES = (cut, flip, zero)
 """Damages of a disk: the saved state is restored, or the checkpoint before it."""
 
 

@@ -1,7 +1,6 @@
 """The command that finds how many errors make a domain how difficult."""
 
 import re
-import shutil
 
 import pytest
 
@@ -59,13 +58,3 @@ def test_a_rate_is_reached_up_to_the_end_and_refused_beyond(calibrated):
     code, out, _ = calibrated(f"success={most}", "dialogues=200")
     assert code == 0
     assert out.startswith("reference_slot_error_prob: 0 ")
-
-
-def test_a_rate_below_what_errors_can_do_is_refused(calibrated, restaurant_folder, tmp_path):
-    folder = shutil.copytree(restaurant_folder, tmp_path / "domain")
-    # Users without a wish, whose area alone is misheard.
-    (folder / "goals.jsonl").write_text('{"constraints": {}, "requests": []}\n')
-    (folder / "values.json").write_text('{"area": ["north"]}\n')
-    code, out, err = calibrated("success=0.0", "dialogues=200", folder=folder)
-    assert (code, out) == (2, "")
-    assert "slot_error_prob=1, rule succeeds in no less" in err.splitlines()[-1]

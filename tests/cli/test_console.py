@@ -1,6 +1,5 @@
 """The command ``bbq``: every command by one name."""
 
-import importlib
 import sys
 
 import pytest
@@ -31,11 +30,6 @@ def test_an_unknown_command_is_refused_with_those_that_there_are(monkeypatch, ca
     assert bbq(monkeypatch, "trian") == 2
     names = ", ".join(console.COMMANDS)
     assert capsys.readouterr().err == f"error: the command must be one of {names}, got 'trian'\n"
-
-
-@pytest.mark.parametrize("name", console.COMMANDS)
-def test_every_command_has_a_main(name):
-    assert callable(importlib.import_module(console.COMMANDS[name][0]).main)
 
 
 def test_what_follows_the_command_is_the_commands(monkeypatch, capsys):

@@ -90,13 +90,5 @@ def test_the_helps_of_the_wheel_name_what_it_has(python, tmp_path):
 
 def _run(command, folder):
     environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"}
-    done = subprocess.run(
-        [str(word) for word in command],
-        cwd=folder,
-        env=environment,
-        capture_output=True,
-        text=True,
-        check=False,
-    )
-    assert done.returncode == 0, done.stdout + done.stderr
-    return done.stdout
+    given = {"cwd": folder, "env": environment, "stdout": subprocess.PIPE, "text": True}
+    return subprocess.run([str(word) for word in command], check=True, **given).stdout

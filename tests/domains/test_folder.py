@@ -36,21 +36,6 @@ def refusal(folder):
     return str(caught.value)
 
 
-def test_restaurant_is_read_as_it_stands(restaurant):
-    assert restaurant.name == "restaurant"
-    assert (len(restaurant.records), len(restaurant.goals)) == (48, 20)
-    assert restaurant.records[0] == {
-        "cuisine": "italian",
-        "day": "saturday",
-        "hour": "7:30 pm",
-        "price_range": "moderate",
-        "restaurant": "Trattoria Lina",
-    }
-    assert restaurant.opening_slots == ()
-    assert restaurant.action_names[:2] == ("thanks", "closing")
-    assert restaurant.action_names[-2:] == ("multiple_choice(cuisine)", "multiple_choice(area)")
-
-
 def test_saving_what_was_loaded_changes_no_byte(restaurant, folder, tmp_path):
     columns = (folder / CSV).read_text().splitlines()[0].split(",")
     save_data(tmp_path, columns, restaurant.records, restaurant.goals, restaurant.error_values)
@@ -82,14 +67,6 @@ def test_any_records_goals_and_values_survive_the_files(restaurant_folder, recor
     assert domain.records == tuple(records)
     assert domain.goals == goals
     assert domain.error_values == values
-
-
-@pytest.mark.parametrize("names", [[YAML], [GOALS, VALUES], [YAML, CSV, GOALS, VALUES]])
-def test_a_missing_file_is_named(folder, names):
-    for name in names:
-        (folder / name).unlink()
-    with pytest.raises(FileNotFoundError, match=", ".join(names)):
-        load_domain(folder)
 
 
 EDITED = [

@@ -43,14 +43,6 @@ def test_a_corpus_is_read_in_order_without_blanks(load):
     assert domain.error_values == {"city": ("seattle", "seattle", "boston")}
 
 
-@pytest.mark.parametrize("name", FILES)
-def test_a_missing_file_is_named(load, tmp_path, name):
-    load()
-    (tmp_path / FILES[name]).unlink()
-    with pytest.raises(FileNotFoundError, match=FILES[name]):
-        load_miulab(tmp_path, **FILES)
-
-
 class Trap:
     """Runs code when an ordinary unpickler loads it."""
 

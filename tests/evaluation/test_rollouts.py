@@ -28,16 +28,14 @@ def test_a_seed_decides_all_dialogues_whatever_was_played_before_or_follows(env)
             assert torch.equal(few, all_[:, :dialogues])
 
 
-def network(env):
-    torch.manual_seed(0)
-    layers = FlatMLP(env.layout.size, 39, [32], replicas=(2,), dropout=0.5)
-    return Greedy(q_actor(layers, env.action_spec_unbatched))
-
-
 # The network is handed over as it comes out of training, with its dropout switched on.
 @pytest.mark.parametrize("policy", ["careful", "random", "network"])
 def test_transcripts_are_of_the_dialogues_that_are_counted(env, policy):
-    policy = network(env).train() if policy == "network" else scripted_policy(policy, env)
+    if policy == "network":
+        layers = FlatMLP(env.layout.size, 39, [32], replicas=(2,), dropout=0.5)
+        policy = Greedy(q_actor(layers, env.action_spec_unbatched)).train()
+    else:
+        policy = scripted_policy(policy, env)
     dialogues = 2 * PLACES - 1
     played = evaluate(env, policy, dialogues, seed=9)
     texts = transcripts(env, policy, dialogues, seed=9)

@@ -21,22 +21,10 @@ from bbq_torchrl.utils.statistics import (
 SEEDS = [0.71, 0.64, 0.80, 0.75, 0.69, 0.77, 0.73]
 
 
-def numbers(count, seed=0):
-    return np.random.default_rng(seed).normal(size=count)
-
-
-@pytest.mark.parametrize("count", [2, 3, 5, 30])
-def test_t_interval_is_that_of_student(count):
-    values = numbers(count)
-    low, high = stats.t.interval(0.95, count - 1, values.mean(), stats.sem(values))
-    found = estimate(values, bounds=(-math.inf, math.inf))
-    assert (found.value, found.low, found.high) == pytest.approx((values.mean(), low, high))
-
-
-@pytest.mark.parametrize("values", [[0.355, 0.463], [1.0, 0.9, 1.0], [0.0, 0.02, 0.0]])
-def test_an_interval_is_cut_at_the_bounds_of_what_is_estimated(values):
+@pytest.mark.parametrize("values", [SEEDS, [0.355, 0.463], [1.0, 0.9, 1.0], [0.0, 0.02, 0.0]])
+def test_an_interval_is_students_cut_at_the_bounds_of_what_is_estimated(values):
     low, high = stats.t.interval(0.95, len(values) - 1, np.mean(values), stats.sem(values))
-    assert low < 0 or high > 1
+    assert (low < 0 or high > 1) == (values != SEEDS)
     found, free = estimate(values), estimate(values, bounds=(-1.0, 1.0))
     assert (found.low, found.high) == pytest.approx((max(0, low), min(1, high)))
     assert (free.low, free.high) == pytest.approx((max(-1, low), min(1, high)))
@@ -99,8 +87,6 @@ def test_probability_of_improvement_counts_pairs_of_runs():
     found = probability_of_improvement(one, other)
     assert found == pytest.approx(np.mean(by_hand))
     assert found + probability_of_improvement(other, one) == pytest.approx(1)
-    u = stats.mannwhitneyu(one[0], other[0]).statistic
-    assert probability_of_improvement(one[:1], other[:1]) == pytest.approx(u / 24)
 
 
 def test_a_stratified_interval_is_that_of_the_percentile_bootstrap():
