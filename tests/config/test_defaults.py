@@ -5,38 +5,34 @@ from inspect import Parameter, signature
 
 import pytest
 
-from bbq_torchrl.bayes import BayesMLP
-from bbq_torchrl.data import BootstrapMask
-from bbq_torchrl.domains import load_miulab
-from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule
-from bbq_torchrl.exploration import (
-    Boltzmann,
-    BootstrapSampling,
-    EvaluationPolicy,
-    NoisySampling,
-    ThompsonSampling,
+from bbq_torchrl import (
+    bayes,
+    data,
+    domains,
+    envs,
+    exploration,
+    networks,
+    objectives,
+    trainers,
+    vime,
 )
-from bbq_torchrl.networks import BootstrapMLP, FlatMLP, GaussianProcess
 from bbq_torchrl.networks.gaussian_process import StateFeatures
-from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, DropoutDQNLoss, GPLoss
 from bbq_torchrl.options import agent, env, explore, protocol
-from bbq_torchrl.trainers import ReplicaAdam, Spike
-from bbq_torchrl.vime import DynamicsLoss, DynamicsModel, VIMEReward
 
 PARTS = {
-    agent.BBQN: (BayesMLP, BBQNLoss, EvaluationPolicy),
-    agent.Bootstrap: (BootstrapMLP, BootstrapDQNLoss, BootstrapMask),
-    agent.GP: (StateFeatures, GaussianProcess, GPLoss),
-    agent.DQN: (FlatMLP, DropoutDQNLoss, ReplicaAdam),
-    explore.BoltzmannActing: (Boltzmann,),
-    explore.Thompson: (ThompsonSampling,),
-    explore.BootstrapActing: (BootstrapSampling,),
-    explore.NoisyActing: (NoisySampling,),
-    explore.VIME: (DynamicsModel, VIMEReward, DynamicsLoss),
-    env.FullDomain: (DialogueEnv,),
-    env.DomainExtension: (DialogueEnv, ExtensionSchedule),
-    env.MiuLabDomain: (load_miulab,),
-    protocol.RuleSpike: (Spike,),
+    agent.BBQN: (bayes.BayesMLP, objectives.BBQNLoss, exploration.EvaluationPolicy),
+    agent.Bootstrap: (networks.BootstrapMLP, objectives.BootstrapDQNLoss, data.BootstrapMask),
+    agent.GP: (StateFeatures, networks.GaussianProcess, objectives.GPLoss),
+    agent.DQN: (networks.FlatMLP, objectives.DropoutDQNLoss, trainers.ReplicaAdam),
+    explore.BoltzmannActing: (exploration.Boltzmann,),
+    explore.Thompson: (exploration.ThompsonSampling,),
+    explore.BootstrapActing: (exploration.BootstrapSampling,),
+    explore.NoisyActing: (exploration.NoisySampling,),
+    explore.VIME: (vime.DynamicsModel, vime.VIMEReward, vime.DynamicsLoss),
+    env.FullDomain: (envs.DialogueEnv,),
+    env.DomainExtension: (envs.DialogueEnv, envs.ExtensionSchedule),
+    env.MiuLabDomain: (domains.load_miulab,),
+    protocol.RuleSpike: (trainers.Spike,),
 }
 """Option -> the parts that its keys are arguments of."""
 

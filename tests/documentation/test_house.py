@@ -64,7 +64,7 @@ def test_no_two_files_import_one_another():
 # parts are imported anew, and watched: which libraries do the project's own modules ask for?
 PROGRAM = """
 import builtins, sys
-sys.modules.update(dict.fromkeys(("pycrfsuite", "rapidfuzz", "httpx")))  # as if not installed
+sys.modules.update(dict.fromkeys(("pycrfsuite", "rapidfuzz", "httpx", "optuna")))  # not installed
 import bbq_torchrl.options
 bbq_torchrl.options.schemas()
 import bbq_torchrl.people.study.outcomes, bbq_torchrl.people.study.report
@@ -84,7 +84,7 @@ for name in ("bayes", "networks", "exploration", "objectives", "data", "vime"):
     real(f"bbq_torchrl.{name}")
 assert "bbq_torchrl.domains" not in sys.modules, "the parts load domains"
 builtins.__import__ = real
-import bbq_torchrl.people.language  # without its extra
+import bbq_torchrl.people.language, bbq_torchrl.search  # without their extras
 print(*sorted(asked - sys.stdlib_module_names - {"bbq_torchrl"}))
 """
 

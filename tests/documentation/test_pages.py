@@ -2,11 +2,7 @@
 
 import csv
 import re
-import shlex
-import shutil
-import sysconfig
 from dataclasses import fields
-from pathlib import Path
 
 import pytest
 from tiny import TINY, composed
@@ -15,37 +11,13 @@ from bbq_torchrl.options import Config, EvaluateConfig, schemas
 from bbq_torchrl.runs.train import run
 from scripts import write_docs
 
-from .pages import PAGES, ROOT, snippets
+from .pages import PAGES, ROOT
 
 DOCS = ROOT / "docs"
 
 
 def text_of(*names):
     return ROOT.joinpath(*names).read_text(encoding="utf-8")
-
-
-CODE = [
-    *re.findall(r"`([^`\n]+)`", text_of("CONTRIBUTING.md")),
-    *"\n".join(snippets(ROOT / "CONTRIBUTING.md", "bash")).splitlines(),
-]
-FILE = re.compile(r"^\.?[\w.-]+/[\w./-]*$|^[\w-]+\.(?:md|py|yaml|toml)$|^\.importlinter$")
-
-
-def test_files_programs_and_stages_that_contributing_names_exist():
-    paths = {word for text in CODE for word in text.split() if FILE.match(word)}
-    paths = {path for path in paths if not path.startswith(("../", ".venv/", "results/"))}
-    assert {"scripts/check", "tests/adversary/", "CHANGELOG.md"} <= paths
-    assert not [path for path in paths if not (ROOT / path).exists() and not any(ROOT.rglob(path))]
-
-    lines = [re.sub(r"^(\w+=\S+ )+", "", text) for text in CODE]
-    for program in {line.split()[0] for line in lines if line.startswith(".venv/bin/")}:
-        assert shutil.which(Path(program).name, path=sysconfig.get_path("scripts")), program
-
-    stages = set(re.findall(r"^    (\w+)\) ", text_of("scripts", "check"), re.MULTILINE))
-    named = [
-        shlex.split(line, comments=True) for line in lines if line.startswith("scripts/check ")
-    ]
-    assert {word for arguments in named for word in arguments[1:]} <= stages
 
 
 def anchors(page):
@@ -64,12 +36,6 @@ def test_links_lead_somewhere(page):
             file = page.parent / name if name else page
             assert file.exists(), target
             assert not anchor or anchor in anchors(file), target
-
-
-@pytest.mark.parametrize("ending", [r"train\.py", "pytest"])
-def test_ci_finds_the_readmes_one_line_commands(ending):
-    commands = rf"^python3 -m venv \.venv && .*{ending}"
-    assert len(re.findall(commands, text_of("README.md"), re.MULTILINE)) == 1
 
 
 @pytest.mark.slow

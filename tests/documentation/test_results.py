@@ -49,14 +49,6 @@ def test_nothing_of_the_machine_is_kept(kept):
         assert b"seconds" not in text.partition(b"\n")[0]
 
 
-def test_unfinished_run_is_not_kept(tmp_path):
-    run = run_of(tmp_path / "run", "dqn", [0.5])
-    (run / "result.json").unlink()
-    with pytest.raises(FileNotFoundError, match=r"result\.json"):
-        keep_result.keep(run, tmp_path / "kept", "dqn")
-    assert not (tmp_path / "kept").exists()
-
-
 def test_an_experiment_is_shown_with_a_command_that_made_it(kept):
     text = BLOCKS["results.miulab"]()
     assert "| BBQN-MAP | 0.750 [" in text

@@ -6,14 +6,12 @@ import json
 import math
 import os
 import shlex
-import sqlite3
 import threading
 import time
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from types import SimpleNamespace
 
-import forked
 import pytest
 from tiny import composed, rows
 
@@ -26,9 +24,6 @@ optuna = pytest.importorskip("optuna", reason="needs the extra search")
 pytestmark = pytest.mark.filterwarnings(
     "ignore::DeprecationWarning", "ignore::optuna.exceptions.ExperimentalWarning"
 )
-
-from sqlalchemy import event  # noqa: E402
-from sqlalchemy.pool import Pool  # noqa: E402
 
 from bbq_torchrl.search import trials as study  # noqa: E402
 from bbq_torchrl.search.trials import run_search  # noqa: E402
@@ -90,13 +85,6 @@ def search(folder, *arguments, trials=4, of="dqn", training=None, **more):
     return run_search(defined, training or Training(), **more)
 
 
-@pytest.fixture
-def impatient(monkeypatch):
-    """A search that takes a silent process for dead after a second."""
-    monkeypatch.setattr(study, "_HEARTBEAT", 1)
-    monkeypatch.setattr(study, "_GRACE", 1)
-
-
 def table(folder):
     return rows(folder / "trials.csv")
 
@@ -156,7 +144,9 @@ def test_a_finished_search_is_extended_by_more_trials(tmp_path):
     assert table(tmp_path)[:2] == before
 
 
-def test_two_processes_never_work_at_the_same_trial(tmp_path, impatient):
+def test_two_processes_never_work_at_the_same_trial(tmp_path, monkeypatch):
+    for seconds in ("_HEARTBEAT", "_GRACE"):  # so that a silent process is soon taken for dead
+        monkeypatch.setattr(study, seconds, 1)
     begun = threading.Event()
 
     class Slow(Training):
@@ -246,50 +236,6 @@ def test_the_database_lies_in_the_folder_whatever_its_name(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == [name]
 
 
-@pytest.fixture
-def connections():
-    """The connections that SQLAlchemy opens to SQLite: kept, so that none is closed by chance."""
-    opened = []
-
-    def keep(connection, record):
-        opened.append(connection)
-
-    event.listen(Pool, "connect", keep)
-    yield opened
-    event.remove(Pool, "connect", keep)
-
-
-@pytest.mark.parametrize(
-    ("ends", "storage"),
-    [
-        ("well", []),
-        ("refused", ["search.storage=sqlite:///{folder}/other.db"]),
-        ("error", []),
-        ("no database", ["search.storage=sqlite:///{folder}/other.db"]),
-        ("no database", []),
-    ],
-)
-def test_every_connection_to_the_database_is_closed(tmp_path, connections, storage, ends):
-    given = [text.format(folder=tmp_path) for text in storage]
-    if ends == "well":
-        search(tmp_path, *given, trials=1)
-    elif ends == "refused":
-        search(tmp_path, *given, trials=1)
-        with pytest.raises(ConfigError):
-            search(tmp_path, *given, "replicas=2", trials=2)
-    elif ends == "error":
-        with pytest.raises(OSError, match="no space"):
-            search(tmp_path, *given, trials=1, training=Training({(0, 1): OSError("no space")}))
-    else:
-        (tmp_path / ("other.db" if storage else "study.db")).write_text("no database")
-        with pytest.raises(ConfigError, match="cannot be used"):
-            search(tmp_path, *given, trials=1)
-    assert connections
-    for connection in connections:
-        with pytest.raises(sqlite3.ProgrammingError, match="closed"):
-            connection.execute("SELECT 1")
-
-
 def test_a_full_disk_ends_the_search_and_the_next_start_goes_on(tmp_path):
     full = OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     with pytest.raises(OSError, match=os.strerror(errno.ENOSPC)):
@@ -298,13 +244,3 @@ def test_a_full_disk_ends_the_search_and_the_next_start_goes_on(tmp_path):
     search(tmp_path, trials=2, training=again)
     assert again.played[0] == (0, 3)
     assert [row["trial"] for row in table(tmp_path)] == ["0", "1"]
-
-
-def test_help_needs_no_optuna(tmp_path):
-    program = (
-        "import sys, runpy; sys.modules['optuna'] = None; sys.argv = ['bbq', 'search', '--help'];"
-        "runpy.run_module('bbq_torchrl.cli.console', run_name='__main__')"
-    )
-    out, err = forked.python("-c", program, cwd=tmp_path)
-    assert "usage: bbq search" in out
-    assert not err
