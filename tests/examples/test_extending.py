@@ -57,37 +57,28 @@ def test_its_keys_are_checked_and_it_is_not_spiked_without_scripted_policies():
         check_resources(compose(["env=chain", "protocol=quick"]))
 
 
-def makes_chains(batch_size=(2, 3), features=None, action=None):
-    """Makes the environment in another batch size, or with another observation or action."""
-
-    def make(*_, **__):
-        from bbq_extending.chain_env import ChainEnv
-
-        env = ChainEnv(5, batch_size)
-        if features is not None:
-            specs = {**env.observation_spec, "observation": Unbounded((*batch_size, *features))}
-            env.observation_spec = Composite(specs, shape=batch_size)
-        if action is not None:
-            env.action_spec = action
-        return env
-
-    return make
-
-
 @pytest.mark.parametrize(
-    "make",
+    ("batch_size", "features", "action"),
     [
-        makes_chains(features=(4, 5)),
-        makes_chains(features=()),
-        makes_chains(action=Unbounded((2, 3, 2))),
-        makes_chains(()),
-        makes_chains((3,)),
-        lambda *_, **__: None,
+        ((2, 3), (4, 5), None),
+        ((2, 3), (), None),
+        ((2, 3), (5,), Unbounded((2, 3, 2))),
+        ((), (5,), None),
+        ((3,), (5,), None),
     ],
 )
-def test_the_environment_of_an_option_is_checked(make, monkeypatch, tmp_path):
+def test_the_environment_of_an_option_is_checked(
+    batch_size, features, action, monkeypatch, tmp_path
+):
+    from bbq_extending.chain_env import ChainEnv
+
+    env = ChainEnv(5, batch_size)
+    specs = {**env.observation_spec, "observation": Unbounded((*batch_size, *features))}
+    env.observation_spec = Composite(specs, shape=batch_size)
+    if action is not None:
+        env.action_spec = action
     config = composed("agent=bbqn", "explore=thompson", *SHRUNKEN)
-    monkeypatch.setattr(type(config.env), "make", make)
+    monkeypatch.setattr(type(config.env), "make", lambda *_, **__: env)
     with pytest.raises(ConfigError, match="env=chain"):
         build_trainer(config, tmp_path)
 
