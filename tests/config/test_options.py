@@ -4,6 +4,7 @@ import json
 import re
 import sys
 from dataclasses import make_dataclass
+from importlib.metadata import EntryPoint
 
 import forked
 import pytest
@@ -202,6 +203,14 @@ def test_a_strategy_that_writes_no_action_is_refused_by_its_name(own):
     config = compose(load(folder, "explore=narrow", *TINY))
     with pytest.raises(ConfigError, match=r"explore=narrow .*guess"):
         make_agent(config, config.env.make(config.domain.make(), (1, 2)))
+
+
+def test_a_package_that_cannot_be_imported_is_named(monkeypatch):
+    ailing = EntryPoint("ill", "ailing.ill", registry.ENTRY_POINTS)
+    monkeypatch.setattr(registry, "entry_points", lambda group: [ailing])
+    monkeypatch.setattr(registry, "_loaded", set())
+    with pytest.raises(ConfigError, match="ailing"):
+        registry.schemas()
 
 
 @pytest.mark.slow

@@ -32,12 +32,7 @@ def goal(pickup, dropoff, asked=("car",), **more):
 
 
 GOALS = [goal(pickup, dropoff) for pickup in PICKUPS for dropoff in DROPOFFS]
-VALUES = {
-    "pickup": list(PICKUPS),
-    "dropoff": list(DROPOFFS),
-    "car": list(CARS),
-    "people": ["2", "3"],
-}
+VALUES = {"pickup": [*PICKUPS], "dropoff": [*DROPOFFS], "car": [*CARS], "people": ["2", "3"]}
 CHOICES = ["--ticket", "taxi", "--essential", "pickup,dropoff,people", "--free", "people"]
 
 

@@ -60,11 +60,11 @@ def test_its_keys_are_checked_and_it_is_not_spiked_without_scripted_policies():
 @pytest.mark.parametrize(
     ("batch_size", "features", "action"),
     [
-        ((2, 3), (4, 5), None),
-        ((2, 3), (), None),
-        ((2, 3), (5,), Unbounded((2, 3, 2))),
+        ((2, 4), (4, 5), None),
+        ((2, 4), (), None),
+        ((2, 4), (5,), Unbounded((2, 4, 2))),
         ((), (5,), None),
-        ((3,), (5,), None),
+        ((4,), (5,), None),
     ],
 )
 def test_the_environment_of_an_option_is_checked(
