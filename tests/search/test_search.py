@@ -154,6 +154,7 @@ def test_two_processes_never_work_at_the_same_trial(tmp_path, monkeypatch):
             begun.set()
             while len(other.trials) < 3 and time.time() < end:  # another does the rest meanwhile
                 time.sleep(0.05)
+            time.sleep(1)  # in which the other begins no trial more than there are
             return super().__call__(*given, **more)
 
     end, slow, other = time.time() + 60, Slow(), Training()
