@@ -42,9 +42,10 @@ class Accepting:
         acting: Acting,
         control: Control,
     ) -> None:
-        self._lexicon, self._hear, self._tracking = spelling.lexicon, hear, tracking
+        self._spelling, self._hear, self._tracking = spelling, hear, tracking
         self._acting, self._control = acting, control
-        self._ticket = spelling.domain.ticket_slot
+        domain = spelling.domain
+        self._ticket, self._fixed = domain.ticket_slot, {*domain.essential} - {*domain.free_slots}
 
     def checked(self, before: Memory, reading: Understood, text: str) -> Understood:
         """Returns the meaning of a text after "..., is that right?".
@@ -65,13 +66,16 @@ class Accepting:
             return replace(reading, frame=waiting, confidence=1.0, unclear=())
         return replace(beside, confidence=max(beside.confidence, DOUBTFUL))
 
-    def proposed(self, before: Memory, reading: Understood, text: str) -> Understood | None:
+    def proposed(
+        self, before: Memory, record: Mapping[str, str], reading: Understood, text: str
+    ) -> Understood | None:
         """Returns the meaning of a text that takes a proposal, by a yes or by what fits it.
 
         What else the text says is told, or asked of that record. ``None`` if it does not take it.
 
         Args:
             before: the memory before the text.
+            record: the values of the proposed record by slot.
             reading: the meaning of the text.
             text: the person's text.
         """
@@ -82,7 +86,10 @@ class Accepting:
         own = {fold(value): slot for slot, value in proposal.items()}
         told = {own.get(fold(value), slot): value for slot, value in values_of(said.frame).items()}
         requests = said.frame.requests
-        if any(proposal.get(slot, value) != value for slot, value in told.items()):
+        is_meant = self._spelling.is_meant
+        told |= {s: own for s, own in proposal.items() if s in told and is_meant(s, told[s], own)}
+        fixed = {**{s: own for s, own in record.items() if s in self._fixed}, **proposal}
+        if any(fixed.get(slot, value) != value for slot, value in told.items()):
             return None
         if beside is None:
             is_named = bool(told) and not said.unclear
@@ -156,7 +163,7 @@ class Accepting:
             text: the person's text.
             values: what the yes is about; to name one of them again adds nothing.
         """
-        rest, lexicon = moves.beside_yes(text), self._lexicon
+        rest, lexicon = moves.beside_yes(text), self._spelling.lexicon
         if rest is None:
             return None
         name = rest.strip(" .,!")

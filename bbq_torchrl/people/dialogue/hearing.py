@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING
 from bbq_torchrl.domains.frames import ANY
 from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.language import Frame, Understood
-from bbq_torchrl.people.language.quantities import read_time
 from bbq_torchrl.people.language.words import has_bye, is_farewell
 
 if TYPE_CHECKING:
@@ -145,9 +144,14 @@ class Hearing:
         "What time is the earliest show?" asks for the time: "earliest show" is no clock time.
         """
         asked, informs = dict.fromkeys(reading.frame.requests), {**reading.frame.informs}
+        said = moves.sentences(text)
+        others = [s for s in said if moves.says(s, "wh") or not moves.says(s, "whether")]
+        if informs and len(others) < len(said):  # "is it Barbie?" asks for no price
+            rest = self._nlu(" ".join(others), None).frame.requests if others else ()
+            kept = {*rest, *self._spelling.named(text, asked), self._domain.ticket_slot}
+            asked = {slot: None for slot in asked if slot in kept}
         for slot in self._spelling.named(text, informs) if moves.says(text, "question") else ():
-            is_time = informs[slot] == ANY or read_time(informs[slot])
-            if self._spelling.lexicon.kinds.get(slot) == "time" and not is_time:
+            if informs[slot] != ANY and self._spelling.is_vague_time(slot, informs[slot]):
                 del informs[slot]
                 asked[slot] = None
         for clause in moves.questions(text):

@@ -61,6 +61,11 @@ def says(text: str, *names: str) -> bool:
     return bool(text) and any(_FIND[name].search(_words(text)) for name in names)
 
 
+def said_of(text: str) -> str:
+    """Returns what a question whether says of its subject, as "far ?" of "is the theater far?"."""
+    return _FIND["says_of"].split(_words(text), maxsplit=1)[-1]
+
+
 def accepts(text: str) -> bool:
     """Returns whether a text accepts an offer and says nothing else.
 

@@ -7,6 +7,7 @@ from itertools import product
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains import tensorize
+from bbq_torchrl.domains.frames import ANY
 from bbq_torchrl.domains.values import fold
 from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.accepting import Accepting
@@ -134,7 +135,8 @@ class Partner:
         is_only = not told.rest or (
             moves.accepts(told.rest) and (before.is_offered or not told.is_yes)
         )
-        if is_only:
+        asks = moves.says(told.rest, "question", "others")
+        if is_only or not (asks or self._is_news(record, reading.frame, text)):
             stands = self._nlg.say("stands", **words) if is_about else ""
             answer = self._say(now, stands, reading)
         else:
@@ -145,6 +147,15 @@ class Partner:
             text=f"{told.text} {answer.text}".strip(),
             answered=replace(answer.answered, act="inform", informs=informs),
         )
+
+    def _is_news(self, record: Mapping[str, str], frame: Frame, text: str) -> bool:
+        """Returns whether a text says more of a record than where and when it is.
+
+        "4:15 is early" after a question neither takes a proposal nor tells a wish.
+        """
+        told = values_of(frame)
+        is_known = told.items() <= record.items() and told.keys() <= {*self.domain.essential}
+        return not (told and is_known) or moves.beside_yes(text) is not None
 
     def _reply(
         self, before: Memory, reading: Understood, text: str, words: dict[str, Any], asks: bool
@@ -183,8 +194,11 @@ class Partner:
                 return self._ask_again(now, again, self._nlg.clarify(again, **words))
             reading = self._accepting.checked(before, reading, text)
         elif before.proposal:
+            record = self._ways_out.nearest(before)
             asks_others = others and moves.says(text, "question")
-            if not asks_others and (taken := self._accepting.proposed(before, reading, text)):
+            if not asks_others and (
+                taken := self._accepting.proposed(before, record, reading, text)
+            ):
                 reading, others = taken, False
                 now = replace(now, proposal={})
             elif is_no_more and not others:
@@ -205,7 +219,11 @@ class Partner:
             reading, dropped = self._hear.dropped(reading, text, question, held)
         if others and not dropped:
             informs = reading.frame.informs
-            informs = {k: value for k, value in informs.items() if not moves.is_relative(value)}
+            # "Anything later in the evening?"
+            own = {*informs} if moves.direction(text) else set()
+            vague = {s for s in own if self._spelling.is_vague_time(s, informs[s])}
+            vague |= {slot for slot, value in informs.items() if moves.is_relative(value)}
+            informs = {slot: value for slot, value in informs.items() if slot not in vague}
             reading = replace(reading, frame=replace(reading.frame, informs=informs))
             told = values_of(before.asking.joined(reading.frame))
             state = self._acting.hear(before.state, Frame("inform", told))
@@ -311,7 +329,8 @@ class Partner:
         held = self._tracking.kept(before)
         if not told.items() <= held.items():
             now = replace(now, times=0)
-        named = tuple(one for one in now.refused if told.items().isdisjoint(one.items()))
+        here = self._ways_out.implied(told).items()
+        named = tuple(one for one in now.refused if here.isdisjoint(one.items()))
         now = replace(now, refused=named)
         if is_denied:
             now = replace(self._ways_out.refuse(now), denied=now.denied + 1)
@@ -348,6 +367,12 @@ class Partner:
         """
         lexicon, informs = self._spelling.lexicon, values_of(understood)
         state = self._acting.hear(before, understood)
+        if self.control.is_stuck(state):  # "What is on at the other one?" wishes no movie
+            asked = dict.fromkeys(self._tracking.kept(state).keys() & {*understood.requests}, ANY)
+            free = replace(understood, informs={**asked, **understood.informs})
+            found = self._acting.hear(before, free)
+            if asked and not self.control.is_stuck(found):
+                return free, found
         distance = self.control.records.best(full(state))[2]
         others = product(informs.items(), lexicon.slots if distance else ())
         for (slot, value), other in others:

@@ -70,13 +70,17 @@ class Questions:
         told: dict[str, str] = {}
         is_yes = True
         names = sorted(map(fold, record.values()), key=len, reverse=True)
-        subject = re.compile(rf"\b(is|does) (?:{'|'.join(map(re.escape, names)) or '_'})\b")
+        name = rf"(?:{'|'.join(map(re.escape, names)) or '_'})\b"
+        subject = re.compile(rf"\b(is|does) {name}")
         for sentence in moves.sentences(text):
-            found = self._answer(record, subject.sub(r"\1 it", sentence), words)
+            # "what time is the first matinee?" is no question about others
+            is_others = bool(moves.others(re.sub(rf"\b{name}", "it", sentence)))
+            about = subject.sub(r"\1 it", sentence)
+            found = None if is_others else self._answer(record, about, words)
             if found is None:
                 rest.append(sentence)
                 continue
-            said.append(found[0])
+            said += [found[0]] * (found[0] not in said)
             told |= found[1]
             is_yes &= found[2]
         if not said:
@@ -89,7 +93,7 @@ class Questions:
         """Returns an answer, its values, and whether it agrees; ``None`` if there is no answer."""
         is_whether = moves.says(sentence, "whether")
         is_about = is_whether or moves.says(sentence, "question")
-        if not is_about or moves.others(sentence) or moves.accepts(sentence):
+        if not is_about or moves.accepts(sentence):
             return None
         if moves.says(sentence, "untold"):
             return self._nlg.say("unknown_question", **words), {}, True
@@ -106,11 +110,12 @@ class Questions:
             said = tokenize(sentence)
             for slot, start, end in self._spelling.lexicon.full_names(said):
                 meant[slot] = [" ".join(said[start:end])]
-            # "is it at the grove?"
+            # "is it rated great?", "is it at the grove?"
             parts = [f" {one} {other} " for one, other in pairwise(said) if other not in SMALL]
+            parts += [f" {one} " for one in {*record.values()} & {*said}]
             known = ((slot, part) for slot in record for part in parts if not meant)
             meant |= {slot: [part.strip()] for slot, part in known if part in f" {record[slot]} "}
-        has = {slot: self._having(record, values) for slot, values in meant.items()}
+        has = {slot: self._having(record, slot, values) for slot, values in meant.items()}
         is_other = moves.says(sentence, "also") or self._is_of(sentence, meant)
         if is_other and not all(has.values()):
             return None
@@ -128,14 +133,23 @@ class Questions:
             }
             if not told:
                 return self._nlg.say("unknown_question", **words), {}, False
-            is_yes = all(has.values())
-            values = self._nlg.agent(Frame("inform", told), **words)
-            return f"{self._nlg.say('yes' if is_yes else 'no', **words)} {values}", told, is_yes
-        if is_whether and not moves.says(sentence, "wh"):  # "is the theater far?" asks for none
-            asked = set()
+            missing = [slot for slot, own in has.items() if not own]
+            untold = {slot: meant[slot][0] for slot in missing if slot not in record}
+            lead = "yes" if len(untold) == len(missing) else "no"
+            answer = (
+                f"{self._nlg.say(lead, **words)} {self._nlg.agent(Frame('inform', told), **words)}"
+            )
+            if untold:
+                answer += f" {self._nlg.say('no_promise', values=untold, **words)}"
+            return answer, told, not missing
+        if is_whether and not moves.says(sentence, "wh"):  # "is the theater far?" is about "far"
+            named = self._spelling.named(moves.said_of(sentence), sorted(asked & {*record}))
+            asked = {*named}
         elif not asked or self._hear.is_unsure(reading):
             named = self._spelling.named(sentence, sorted({*record} - self._free))
             asked = asked & {*named} or {*named[:1]}
+        if not (asked or meant) and moves.says(sentence, "available"):
+            return self._nlg.say("no" if moves.says(sentence, "gone") else "yes", **words), {}, True
         if asked and not meant:
             told = {slot: record.get(slot, NO_MATCH_TEXT) for slot in sorted(asked)}
             return self._nlg.agent(Frame("inform", told), **words), told, True
@@ -150,10 +164,12 @@ class Questions:
         before = (" ".join(said[: place.start]) for place in places if place is not None)
         return any(moves.says(words, "of") for words in before)
 
-    def _having(self, record: Mapping[str, str], values: Sequence[str]) -> str | None:
-        """Returns the slot of a record that has one of some values, or a name with it in it."""
-        key = self._spelling.lexicon.key
+    def _having(self, record: Mapping[str, str], of: str, values: Sequence[str]) -> str | None:
+        """Returns the slot of a record that has one of some values of a slot, or it in a name."""
+        if f" {record.get(of)} " in f" {values[0]} ":  # "great according to"
+            return of
         for slot, own in record.items():
-            if any(f" {v} " in f" {own} " or key(slot, own) == key(slot, v) for v in values):
+            is_part = any(f" {v} " in f" {own} " for v in values)
+            if is_part or any(self._spelling.is_meant(slot, v, own) for v in values):
                 return slot
         return None

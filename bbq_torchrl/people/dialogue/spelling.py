@@ -11,7 +11,13 @@ from bbq_torchrl.domains.values import RESERVED_TEXT, fold
 from bbq_torchrl.people.dialogue.records import completed
 from bbq_torchrl.people.language import Unclear
 from bbq_torchrl.people.language.lexicon import Lexicon
-from bbq_torchrl.people.language.quantities import PART_WORDS, minutes_of, read_time
+from bbq_torchrl.people.language.quantities import (
+    PART_WORDS,
+    about_minutes,
+    day_of,
+    minutes_of,
+    read_time,
+)
 from bbq_torchrl.people.language.words import tokenize
 
 if TYPE_CHECKING:
@@ -127,6 +133,18 @@ class Spelling:
         away = {value: minutes_of(value) - minutes_of(clock) for value in times}
         fit = (value for value in away if _SPANS[relation][0] <= away[value] <= _SPANS[relation][1])
         return replace(name, candidates=tuple(sorted(fit, key=lambda value: abs(away[value]))))
+
+    def is_meant(self, slot: str, said: str, own: str) -> bool:
+        """Returns whether a record's value is what a person means by another: "7" by "around 7"."""
+        key, kind = self.lexicon.key, self.lexicon.kinds.get(slot)
+        if kind == "time" and read_time(said) and read_time(own):
+            return about_minutes(said) == about_minutes(own)
+        is_day = kind == "date" and day_of(own) == fold(said)
+        return is_day or key(slot, own) == key(slot, said)
+
+    def is_vague_time(self, slot: str, value: str) -> bool:
+        """Returns whether a value of a time names no time by the clock: "in the evening"."""
+        return self.lexicon.kinds.get(slot) == "time" and read_time(value) is None
 
     def is_named(self, text: str, values: Mapping[str, str]) -> bool:
         """Returns whether a text names each of some values in full."""

@@ -80,10 +80,14 @@ class WaysOut:
             words: what determines the words.
         """
         assert now.state is not None
+        informs = reading.frame.informs
         way = moves.direction(text)
         end = moves.direction(moves.others(text), "latest", "earliest")
-        told = {**self._tracking.kept(now.state), **now.proposal, **reading.frame.informs}
-        slots, stays = self._meant(text, question, told, is_proposed=bool(now.proposal))
+        told = {**self._tracking.kept(now.state), **now.proposal, **informs}
+        is_wish = now.state.get("wished", full(now.state)) > 0
+        # Who wished that movie means "the only theater".
+        only = self._holder if is_wish[self._slots.index(self._thing)] else self._thing
+        slots, stays = self._meant(text, question, told, only, is_proposed=bool(now.proposal))
         held, records = full(now.state), self._records
         number = next((n for n in map(self._slots.index, slots) if records.is_listed(n)), None)
         is_met = bool(records.is_met(held))
@@ -95,13 +99,15 @@ class WaysOut:
         named = torch.tensor([name in {slot, *stays} for name in self._slots])
         proposed = torch.tensor(self._tracking.ids(now.proposal))
         # Other than what is proposed, unless the text names another one itself.
-        itself = reading.frame.informs.get(slot, now.proposal.get(slot))
+        itself = informs.get(slot, now.proposal.get(slot))
         is_named = bool((proposed[named] != NONE).any()) and itself == now.proposal.get(slot)
         is_beside = bool(now.proposal) if way or end else is_named
         if is_beside:
+            is_told = torch.tensor([name in informs for name in self._slots])
             takes = proposed if not is_met else torch.where(named, proposed, NONE)
+            takes = torch.where(is_told, NONE, takes)
             held = torch.where(takes != NONE, takes, held)
-        is_wish = (now.state.get("wished", held) > 0) | named | records.opening
+        is_wish = is_wish | named | records.opening
         is_wish &= ~records.determines[:, number]
         wished = torch.where(is_wish, held, NONE)
         is_other = bool(way) or moves.says(text, "else")
@@ -151,7 +157,13 @@ class WaysOut:
         return [] if found == [int(held[number])] else found
 
     def _meant(
-        self, text: str, question: Frame | None, told: Mapping[str, str], *, is_proposed: bool
+        self,
+        text: str,
+        question: Frame | None,
+        told: Mapping[str, str],
+        only: str,
+        *,
+        is_proposed: bool,
     ) -> tuple[list[str], list[str]]:
         """Returns the slots of which a text asks for others, and those that stay as they are.
 
@@ -170,7 +182,7 @@ class WaysOut:
         begins = tuple(f"{told.get(slot)} " for slot in stays)
         slots = slots or [slot for slot, name in told.items() if name.startswith(begins)]
         if " the only" in wanted:  # "is 7 pm the only one?"
-            slots = slots or named_values(wanted.split(" the only")[0], told, lexicon)
+            slots = slots or named_values(wanted.split(" the only")[0], told, lexicon) or [only]
         times = "time", "later", "earlier", "latest", "earliest"
         if not slots and moves.says(moves.others(text), *times):
             slots = [slot for slot in lexicon.slots if lexicon.kinds[slot] == "time"]
@@ -246,6 +258,11 @@ class WaysOut:
         held = full(memory.state)
         row = self._records.row(held, change, refused)
         return self._tracking.values(torch.where(self._free & (held >= FIRST_VALUE), held, row))
+
+    def implied(self, values: Mapping[str, str]) -> dict[str, str]:
+        """Returns values with the places that they determine, as a theater its city."""
+        here = self._records.here(torch.tensor(self._tracking.ids(values)))
+        return {**self._tracking.values(here), **values}
 
     def refuse(self, now: Memory) -> Memory:
         """Returns the memory after the offered record is refused."""
