@@ -62,6 +62,8 @@ class Hearing:
             return replace(reading, frame=frame)
         informed = question.informs if question is not None else {}
         informs, unclear = self._spelling.understood(text, values, informed, reading.unclear)
+        if moves.says(text, "now"):  # "what is on right now?"
+            informs = {slot: value for slot, value in informs.items() if value != "now"}
         unclear = tuple(
             one for one in unclear if one.candidates or one.is_denied or len(one.text) > _TINY
         )
@@ -69,6 +71,17 @@ class Hearing:
         if "answers_first" in rules and {*frame.requests} - {self._domain.ticket_slot}:
             spoken_of = {action.slot for action in self._domain.actions}
             unclear = tuple(one for one in unclear if one.slot in spoken_of)  # others can wait
+        return replace(reading, frame=frame, unclear=unclear)
+
+    def of_record(self, reading: Understood, record: Mapping[str, str]) -> Understood:
+        """Returns a reading whose unclear names are those of a record that have them in them."""
+        meant = {
+            one.slot: record[one.slot]
+            for one in reading.unclear
+            if not one.is_denied and f" {one.text} " in f" {record.get(one.slot)} "
+        }
+        unclear = tuple(one for one in reading.unclear if one.slot not in meant)
+        frame = replace(reading.frame, informs={**reading.frame.informs, **meant})
         return replace(reading, frame=frame, unclear=unclear)
 
     def leaving(self, reading: Understood, text: str, is_offered: bool) -> Understood:

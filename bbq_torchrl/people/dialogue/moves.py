@@ -208,6 +208,22 @@ def same(words: str) -> str:
     return " ".join(_FIND["same"].findall(words))
 
 
+def without_verbs(text: str) -> str:
+    """Returns a text without what is being done, as "are showing", which names nothing."""
+    return _FIND["verb"].sub(" ", _words(text))
+
+
+def without_question(text: str) -> str:
+    """Returns a text without the question that ends it, if it says something before."""
+    *said, last = _SENTENCE.findall(text)
+    return "".join(said) if said and "?" in last else text
+
+
+def after_other(words: str) -> list[str]:
+    """Returns the words of :func:`others` that begin with "other" or the like."""
+    return _FIND["other"].findall(words)
+
+
 def besides(words: str) -> list[str]:
     """Returns the words of :func:`others` for what is wanted, and those for what is not, if any.
 
@@ -229,9 +245,10 @@ def taken_back(text: str, held: Mapping[str, str], lexicon: Lexicon) -> tuple[st
     found: list[str] = []
     if _FIND["except"].search(_words(text)):  # a value is excluded
         return ()
+    asked = " ".join(filter(asks_whether_any, sentences(text)))
     for clause in _CLAUSE.split(_words(text)):
         for match in _FIND["any"].finditer(clause):
-            if not asks_whether_any(text):  # "Any good movies?"
+            if match[0] not in asked:  # "Any good movies?"
                 found += named_slots(_WHERE.split(match["x"])[0], lexicon)
         for region in _regions(clause):
             found += named_slots(region, lexicon)
@@ -251,7 +268,7 @@ def _regions(clause: str) -> Iterator[str]:
 
 def named_slots(words: str, lexicon: Lexicon) -> list[str]:
     """Returns the slots for which some words have a noun, in the order of the words."""
-    found, said = [], _words(words).split() if words.strip() else []
+    found, said = [], without_verbs(words).split() if words.strip() else []
     for word in said:
         forms = {word, word.removesuffix("s"), word.removesuffix("es"), f"{word[:-3]}y"} - _VAGUE
         for slot in lexicon.slots:

@@ -6,6 +6,8 @@ from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
+import torch
+
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.frames import ANY
 from bbq_torchrl.domains.values import fold
@@ -24,9 +26,8 @@ from bbq_torchrl.people.language.words import is_no
 from bbq_torchrl.simulator import Simulator
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Collection, Iterable, Mapping
 
-    import torch
     from tensordict import TensorDict
 
     from bbq_torchrl.people.dialogue.trained_agent import TrainedAgent
@@ -126,14 +127,17 @@ class Partner:
                 frame = replace(reading.frame, informs={**named, **reading.frame.informs})
                 sure = max(reading.confidence, DOUBTFUL)
                 reading = replace(reading, frame=frame, confidence=sure)
+            reading = self._hear.of_record(reading, record)
         except TextError as error:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
         if not told.text:
             reading, lead = self._without_strange(reading, question, words)
             answer = self._reply(before, reading, text, words, moves.says(text, "question"))
             return _led(answer, lead) if lead else answer
-        is_only = not told.rest or (
-            moves.accepts(told.rest) and (before.is_offered or not told.is_yes)
+        is_only = (
+            not told.rest
+            or (not is_about and is_no(told.rest))
+            or (moves.accepts(told.rest) and (before.is_offered or not told.is_yes))
         )
         asks = moves.says(told.rest, "question", "others")
         if is_only or not (asks or self._is_news(record, reading.frame, text)):
@@ -227,7 +231,8 @@ class Partner:
             reading = replace(reading, frame=replace(reading.frame, informs=informs))
             told = values_of(before.asking.joined(reading.frame))
             state = self._acting.hear(before.state, Frame("inform", told))
-            found = self._ways_out.others(replace(now, state=state), reading, text, question, words)
+            changed = {slot for slot, value in told.items() if held.get(slot) != value}
+            found = self._others(replace(now, state=state), reading, text, question, words, changed)
             if found is not None:
                 beside = self._questions(self._ways_out.nearest(found.memory), text, words)
                 return _led(found, beside.text) if beside.text else found
@@ -268,12 +273,38 @@ class Partner:
         names = " ".join(self._ways_out.nearest(answer.memory).values())
         if absent := {slot: value for slot, value in news.items() if value not in names}:
             answer = _led(answer, self._nlg.say("no_promise", values=absent, **words))
-        if is_unsure and (news := self._unsaid(before, understood, answer)):
+        if (is_unsure or others) and (news := self._unsaid(before, understood, answer)):
             answer = _led(answer, self._nlg.say("understood", values=news, **words))
         is_found = answer.acted and not answer.memory.proposal and bool(values_of(understood))
         if is_any and is_found and not absent:
             answer = _led(answer, self._nlg.say("yes", **words))
         return answer
+
+    def _others(
+        self,
+        now: Memory,
+        reading: Understood,
+        text: str,
+        question: Frame | None,
+        words: dict[str, Any],
+        news: Collection[str],
+    ) -> Answer | None:
+        """Returns the alternatives that each sentence of a text asks for, if any."""
+        asking = [sentence for sentence in moves.sentences(text) if moves.others(sentence)]
+        of = [
+            moves.named_slots(moves.others(sentence), self._spelling.lexicon) for sentence in asking
+        ]
+        if len(asking) < 2 or not set(of[0]).isdisjoint(*of[1:]) or not all(of[1:]):
+            asking = [text]
+        answers = (self._ways_out.others(now, reading, s, question, words, news) for s in asking)
+        found = [answer for answer in answers if answer is not None]
+        if not found:
+            return None
+        # The last is what the next text replies to.
+        *leads, last = sorted(found, key=lambda a: bool(a.memory.proposal or a.answered.choices))
+        texts = [moves.without_question(answer.text) for answer in leads]
+        texts = [one for one in texts if one not in last.text]
+        return _led(last, " ".join(texts)) if texts else last
 
     def _elsewhere(self, record: Mapping[str, str], rest: str) -> dict[str, str]:
         """Returns the values by which the rest of a text names another record, to ask about it."""
@@ -337,14 +368,19 @@ class Partner:
             if now.denied >= _MAX_DENIED:
                 sentence, answered = self._nlg.say("no_more", **words), Frame("closing")
                 return Answer(sentence, reading, understood, answered, now, ended="agent")
+        asked = [slot for slot in understood.requests if slot != self.domain.ticket_slot]
+        state = self._acting.hear(before, understood)
         if "way_out" in rules:
             understood, state = self._heard(before, understood)
             if not is_denied and self.control.is_stuck(state, self._ways_out.refused(now)):
-                asked = [slot for slot in understood.requests if slot != self.domain.ticket_slot]
                 now = replace(now, state=state)
                 return self._ways_out.alternative(now, reading, words, asked, is_refused=False)
         reply = self._acting.book if is_booked else self._acting.reply
         acted = reply(before, understood, words["session"], self._ways_out.refused(now))
+        if "way_out" in rules and self._is_contradicted(state, acted.state):
+            # Of a record that lacks a wish the policy told values that another place has.
+            now = replace(now, state=state)
+            return self._ways_out.alternative(now, reading, words, asked, is_refused=False)
         answered, now = acted.answered, replace(now, state=acted.state, proposal={}, times=0)
         if is_denied and bool(acted.state["offered"]):
             names = list(values_of(self._tracking.kept(acted.state)))[:_MAX_NAMED]
@@ -359,6 +395,11 @@ class Partner:
         sentence, left_out = " ".join(sentences), acted.control
         return Answer(sentence, reading, acted.understood, answered, now, True, ended, left_out)
 
+    def _is_contradicted(self, before: TensorDict, after: TensorDict) -> bool:
+        """Returns whether an act tells what takes the nearest record farther from the wishes."""
+        distances = self.control.records.best(torch.stack([full(before), full(after)]))[2]
+        return bool(distances[1] > distances[0])
+
     def _heard(self, before: TensorDict | None, understood: Frame) -> tuple[Frame, TensorDict]:
         """Returns an act and the state after it.
 
@@ -366,6 +407,14 @@ class Partner:
         them then: "tonight" is a date, or a time.
         """
         lexicon, informs = self._spelling.lexicon, values_of(understood)
+        held, implied = self._tracking.kept(before), self._ways_out.implied(informs)
+        # A theater of another chain takes back the chain.
+        gone = {
+            s: ANY
+            for s in self._details & held.keys() & implied.keys() - informs.keys()
+            if held[s] not in (ANY, implied[s])
+        }
+        understood = replace(understood, informs={**gone, **understood.informs})
         state = self._acting.hear(before, understood)
         if self.control.is_stuck(state):  # "What is on at the other one?" wishes no movie
             asked = dict.fromkeys(self._tracking.kept(state).keys() & {*understood.requests}, ANY)

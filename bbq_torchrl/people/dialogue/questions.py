@@ -68,6 +68,7 @@ class Questions:
         said: list[str] = []
         rest: list[str] = []
         told: dict[str, str] = {}
+        found: tuple[str, dict[str, str], bool] | None
         is_yes = True
         names = sorted(map(fold, record.values()), key=len, reverse=True)
         name = rf"(?:{'|'.join(map(re.escape, names)) or '_'})\b"
@@ -76,7 +77,12 @@ class Questions:
             # "what time is the first matinee?" is no question about others
             is_others = bool(moves.others(re.sub(rf"\b{name}", "it", sentence)))
             about = subject.sub(r"\1 it", sentence)
-            found = None if is_others else self._answer(record, about, words)
+            if moves.says(sentence, "question") and moves.says(sentence, "untold"):
+                found = self._nlg.say("unknown_question", **words), {}, True
+            elif record and not is_others:
+                found = self._answer(record, about, words)
+            else:
+                found = None
             if found is None:
                 rest.append(sentence)
                 continue
@@ -94,10 +100,6 @@ class Questions:
         is_whether = moves.says(sentence, "whether")
         is_about = is_whether or moves.says(sentence, "question")
         if not is_about or moves.accepts(sentence):
-            return None
-        if moves.says(sentence, "untold"):
-            return self._nlg.say("unknown_question", **words), {}, True
-        if not record:
             return None
         reading = self._hear(sentence, None)
         meant = {slot: [value] for slot, value in reading.frame.informs.items()}
@@ -133,6 +135,9 @@ class Questions:
             }
             if not told:
                 return self._nlg.say("unknown_question", **words), {}, False
+            if moves.says(sentence, "the_same"):
+                same = moves.named_slots(moves.same(sentence), self._spelling.lexicon)
+                told |= {slot: record[slot] for slot in same if slot in record}
             missing = [slot for slot, own in has.items() if not own]
             untold = {slot: meant[slot][0] for slot in missing if slot not in record}
             lead = "yes" if len(untold) == len(missing) else "no"

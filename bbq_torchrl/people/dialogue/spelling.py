@@ -123,6 +123,9 @@ class Spelling:
         if name.candidates or name.is_denied:
             return name
         read = read_time(name.text) if lexicon.kinds.get(slot) == "time" else None
+        parts = [v for v in lexicon.values(slot) if f" {v} " in f" {name.text} "]
+        if parts and read is None:  # "afternoon matinee"
+            return replace(name, candidates=tuple(parts))
         if read is None:
             links = {other: lexicon.link(other, name.text) for other in lexicon.slots}
             slot = max(links, key=lambda other: links[other].score)

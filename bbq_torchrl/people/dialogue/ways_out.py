@@ -10,13 +10,14 @@ import torch
 
 from bbq_torchrl.domains.values import FIRST_VALUE, NONE
 from bbq_torchrl.people.dialogue import moves
-from bbq_torchrl.people.dialogue.exchange import Answer
+from bbq_torchrl.people.dialogue.exchange import Answer, values_of
 from bbq_torchrl.people.dialogue.tracking import full
 from bbq_torchrl.people.language import Frame
 from bbq_torchrl.people.language.asking import Asking
+from bbq_torchrl.people.language.words import tokenize
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from bbq_torchrl.people.dialogue.exchange import Memory
     from bbq_torchrl.people.dialogue.records import Records
@@ -69,6 +70,7 @@ class WaysOut:
         text: str,
         question: Frame | None,
         words: dict[str, Any],
+        news: Collection[str] = (),
     ) -> Answer | None:
         """Returns the alternatives that a text asks for; ``None`` if it is about something else.
 
@@ -78,6 +80,7 @@ class WaysOut:
             text: the person's text.
             question: the agent's act that it answers.
             words: what determines the words.
+            news: the slots whose values are told by the text.
         """
         assert now.state is not None
         informs = reading.frame.informs
@@ -96,6 +99,8 @@ class WaysOut:
                 return None
             return self.alternative(now, reading, words)
         slot = self._slots[number]
+        if slot in news and self._names_another(text, slot, informs[slot]):
+            return None
         named = torch.tensor([name in {slot, *stays} for name in self._slots])
         proposed = torch.tensor(self._tracking.ids(now.proposal))
         # Other than what is proposed, unless the text names another one itself.
@@ -146,6 +151,13 @@ class WaysOut:
         change = nearest(held) or records.nearest(held, refused, asked=[number])
         return self.propose(now, reading, change, words)
 
+    def _names_another(self, text: str, slot: str, value: str) -> bool:
+        """Returns whether a text that asks for others then names one: "others? Dune?"."""
+        asking, said = moves.others(text), " ".join(tokenize(text))
+        after = said[said.find(asking) :]
+        is_named = self._lexicon.place(after.split(), slot, value) is not None
+        return is_named and len(moves.besides(asking)) == 1
+
     def _choices(
         self, held: torch.Tensor, number: int, way: int = 0, end: int = 0, *, is_other: bool
     ) -> list[int]:
@@ -175,20 +187,25 @@ class WaysOut:
         who = [self._holder] * moves.says(wanted, "holder")
         if question is not None and moves.says(wanted, "listed"):
             return [*question.requests], []
-        slots = who or [s for s in moves.named_slots(wanted, lexicon) if s not in stays]
+        first = " ".join(moves.after_other(wanted))
+        names = [*moves.named_slots(first, lexicon), *moves.named_slots(wanted, lexicon)]
+        slots = who or [s for s in names if s not in stays]
         slots = slots or named_values(" ".join(other), told, lexicon)
         stays += named_values(wanted, told, lexicon)
         # Another of a chain is another theater, whose name begins with the chain's.
         begins = tuple(f"{told.get(slot)} " for slot in stays)
         slots = slots or [slot for slot, name in told.items() if name.startswith(begins)]
         if " the only" in wanted:  # "is 7 pm the only one?"
-            slots = slots or named_values(wanted.split(" the only")[0], told, lexicon) or [only]
+            slots = slots or named_values(wanted.split(" the only")[0], told, lexicon)
+        slots = slots or [only] * moves.says(wanted, "other_one")
         times = "time", "later", "earlier", "latest", "earliest"
         if not slots and moves.says(moves.others(text), *times):
             slots = [slot for slot in lexicon.slots if lexicon.kinds[slot] == "time"]
-        if not slots and question is not None and not is_proposed:
+        if not slots and question is not None:
             is_thing = moves.says(wanted, "thing") and not question.choices
-            slots = [self._thing] if is_thing else [*question.requests][:1]
+            is_thing &= not is_proposed or only == self._thing
+            asked = [] if is_proposed else [*question.requests][:1]
+            slots = [self._thing] if is_thing else asked
         return slots or [self._thing] * bool(stays), stays
 
     def alternative(
@@ -260,8 +277,9 @@ class WaysOut:
         return self._tracking.values(torch.where(self._free & (held >= FIRST_VALUE), held, row))
 
     def implied(self, values: Mapping[str, str]) -> dict[str, str]:
-        """Returns values with the places that they determine, as a theater its city."""
-        here = self._records.here(torch.tensor(self._tracking.ids(values)))
+        """Returns values with those that they determine, as a theater its city."""
+        ids = torch.tensor(self._tracking.ids(values))
+        here = self._records.here(ids, torch.ones_like(ids, dtype=torch.bool))
         return {**self._tracking.values(here), **values}
 
     def refuse(self, now: Memory) -> Memory:
@@ -309,6 +327,10 @@ class WaysOut:
         use, named = "another" if is_near else "way_out", proposal
         if proposal == now.proposal:
             use, named = "whole", self._tracking.values(torch.where(self._place, row, ids))
+        if is_near:  # "is there one at 7?"
+            said = values_of(reading.frame)
+            shown = self._tracking.values(self._place * row)
+            named = {**named, **{s: v for s, v in shown.items() if said.get(s) == v}}
         sentence = self._nlg.say(use, values=conflict, other=named, **words)
         now = replace(now, proposal=proposal, times=times)
         return Answer(sentence, reading, reading.frame, Frame("not_sure", proposal), now)

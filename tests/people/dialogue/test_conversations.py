@@ -169,6 +169,7 @@ def test_what_is_asked_beside_a_choice_is_answered(partner):
     for case in TEXTS["asks"]:
         answer = said(partner, opened(partner, case["open"]), case["text"])
         assert case["slot"] in {*answer.answered.informs, *answer.memory.proposal}, case
+        assert case.get("says", "") in answer.text, case
 
 
 def test_a_detail_that_is_nowhere_on_file_is_owned_up_to_each_time_and_never_affirmed(partner):
