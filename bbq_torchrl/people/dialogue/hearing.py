@@ -127,11 +127,12 @@ class Hearing:
             question: the agent's act that it answers.
             held: the values told before.
         """
-        told = reading.frame.informs
+        told, lexicon, gone = reading.frame.informs, self._spelling.lexicon, moves.taken_words(text)
         slots = tuple(
             slot
-            for slot in moves.taken_back(text, held, self._spelling.lexicon)
+            for slot in moves.taken_back(text, held, lexicon)
             if told.get(slot, ANY) in (ANY, held.get(slot))
+            or lexicon.place(gone, slot, told[slot]) is not None
         )
         if not slots:
             is_free = bool(told) and set(told.values()) == {ANY}
@@ -140,7 +141,7 @@ class Hearing:
             return reading, ()
         informs = {slot: value for slot, value in told.items() if value != ANY}
         asking = " ".join(moves.questions(text))  # "any day is fine. which days are there?"
-        asked_for = moves.named_slots(asking, self._spelling.lexicon)
+        asked_for = moves.named_slots(asking, lexicon)
         requests = tuple(s for s in reading.frame.requests if s not in slots or s in asked_for)
         informs |= dict.fromkeys(slots, ANY)
         frame = replace(reading.frame, informs=informs, requests=requests)

@@ -256,6 +256,12 @@ def taken_back(text: str, held: Mapping[str, str], lexicon: Lexicon) -> tuple[st
     return tuple(dict.fromkeys(found))
 
 
+def taken_words(text: str) -> list[str]:
+    """Returns the words of a text for what it takes back."""
+    clauses = _CLAUSE.split(_words(text))
+    return [word for clause in clauses for region in _regions(clause) for word in region.split()]
+
+
 def _regions(clause: str) -> Iterator[str]:
     """Yields the words of a clause that name what is taken back."""
     for match in _FIND["around"].finditer(clause):

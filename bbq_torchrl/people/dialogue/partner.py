@@ -6,8 +6,6 @@ from dataclasses import replace
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
-import torch
-
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.frames import ANY
 from bbq_torchrl.domains.values import fold
@@ -28,6 +26,7 @@ from bbq_torchrl.simulator import Simulator
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterable, Mapping
 
+    import torch
     from tensordict import TensorDict
 
     from bbq_torchrl.people.dialogue.trained_agent import TrainedAgent
@@ -148,7 +147,7 @@ class Partner:
         informs = {**told.values, **answer.answered.informs}
         return replace(
             answer,
-            text=f"{told.text} {answer.text}".strip(),
+            text=answer.text if told.text in answer.text else f"{told.text} {answer.text}".strip(),
             answered=replace(answer.answered, act="inform", informs=informs),
         )
 
@@ -159,7 +158,7 @@ class Partner:
         """
         told = values_of(frame)
         is_known = told.items() <= record.items() and told.keys() <= {*self.domain.essential}
-        return not (told and is_known) or moves.beside_yes(text) is not None
+        return not (told and is_known) or moves.says(text, "agrees")
 
     def _reply(
         self, before: Memory, reading: Understood, text: str, words: dict[str, Any], asks: bool
@@ -189,6 +188,8 @@ class Partner:
         if "drop" in rules and is_said:
             reading, refused = self._hear.refused(reading, held)
             now = replace(now, refused=(*now.refused, *refused))
+        is_about = bool(before.proposal) or before.is_offered
+        record = self._ways_out.nearest(before) if is_about else {}
         is_no_more = is_no(text) or self._hear.is_bare(reading.frame, "deny")
         is_booked = False
         if before.asking.is_check:
@@ -198,11 +199,11 @@ class Partner:
                 return self._ask_again(now, again, self._nlg.clarify(again, **words))
             reading = self._accepting.checked(before, reading, text)
         elif before.proposal:
-            record = self._ways_out.nearest(before)
-            asks_others = others and moves.says(text, "question")
-            if not asks_others and (
-                taken := self._accepting.proposed(before, record, reading, text)
-            ):
+            says_yes = moves.beside_yes(text) is not None or moves.ends_in_yes(text)
+            takes = not others or (says_yes and not moves.says(text, "question"))
+            if takes and (taken := self._accepting.proposed(before, record, reading, text)):
+                # Who has told or read all of it need not read it again.
+                is_booked = not asks and moves.accepts(text) and self._ways_out.is_whole(before)
                 reading, others = taken, False
                 now = replace(now, proposal={})
             elif is_no_more and not others:
@@ -211,7 +212,6 @@ class Partner:
                 # A yes to what is proposed books nothing that was offered before.
                 return self._say(now, self._nlg.say("stands", **words), reading)
         elif before.is_offered and "yes_ends" in rules and not others:
-            record = self._ways_out.nearest(before)
             reading, is_booked = self._accepting.offered(before, record, reading, text, asks)
             if reading.frame.act == "not_sure" and not reading.unclear:
                 return self._say(now, self._nlg.say("stands", **words), reading)
@@ -231,7 +231,8 @@ class Partner:
             reading = replace(reading, frame=replace(reading.frame, informs=informs))
             told = values_of(before.asking.joined(reading.frame))
             state = self._acting.hear(before.state, Frame("inform", told))
-            changed = {slot for slot, value in told.items() if held.get(slot) != value}
+            known, is_meant = {**held, **record}, self._spelling.is_meant
+            changed = {s for s, v in told.items() if s not in known or not is_meant(s, v, known[s])}
             found = self._others(replace(now, state=state), reading, text, question, words, changed)
             if found is not None:
                 beside = self._questions(self._ways_out.nearest(found.memory), text, words)
@@ -377,10 +378,11 @@ class Partner:
                 return self._ways_out.alternative(now, reading, words, asked, is_refused=False)
         reply = self._acting.book if is_booked else self._acting.reply
         acted = reply(before, understood, words["session"], self._ways_out.refused(now))
-        if "way_out" in rules and self._is_contradicted(state, acted.state):
-            # Of a record that lacks a wish the policy told values that another place has.
+        if "way_out" in rules and self._is_elsewhere(state, acted.state):
+            # A record that lacks a wish lent its values to another place.
             now = replace(now, state=state)
-            return self._ways_out.alternative(now, reading, words, asked, is_refused=False)
+            found = self._ways_out.alternative(now, reading, words, asked, is_refused=False)
+            return replace(found, understood=understood)
         answered, now = acted.answered, replace(now, state=acted.state, proposal={}, times=0)
         if is_denied and bool(acted.state["offered"]):
             names = list(values_of(self._tracking.kept(acted.state)))[:_MAX_NAMED]
@@ -395,10 +397,12 @@ class Partner:
         sentence, left_out = " ".join(sentences), acted.control
         return Answer(sentence, reading, acted.understood, answered, now, True, ended, left_out)
 
-    def _is_contradicted(self, before: TensorDict, after: TensorDict) -> bool:
-        """Returns whether an act tells what takes the nearest record farther from the wishes."""
-        distances = self.control.records.best(torch.stack([full(before), full(after)]))[2]
-        return bool(distances[1] > distances[0])
+    def _is_elsewhere(self, before: TensorDict, after: TensorDict) -> bool:
+        """Returns whether an act tells a place that is in none that was told before it."""
+        wishes, told = (values_of(self._tracking.kept(state)) for state in (before, after))
+        news = {slot: value for slot, value in told.items() if slot not in wishes}
+        implied = self._ways_out.implied(news)
+        return any(implied.get(slot, value) != value for slot, value in wishes.items())
 
     def _heard(self, before: TensorDict | None, understood: Frame) -> tuple[Frame, TensorDict]:
         """Returns an act and the state after it.

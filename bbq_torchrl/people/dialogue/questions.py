@@ -102,6 +102,9 @@ class Questions:
         if not is_about or moves.accepts(sentence):
             return None
         reading = self._hear(sentence, None)
+        kinds = self._spelling.lexicon.kinds
+        if any(not one.candidates and kinds[one.slot] != "text" for one in reading.unclear):
+            return self._nlg.say("unknown_question", **words), {}, True  # "Is the 14th a weekend?"
         meant = {slot: [value] for slot, value in reading.frame.informs.items()}
         meant |= {one.slot: [*one.candidates] or [one.text] for one in reading.unclear}
         if any(record.get(slot, v[0]) not in v for slot, v in meant.items() if slot in self._free):
@@ -133,13 +136,14 @@ class Questions:
                 for slot, own in has.items()
                 if own or slot in record.keys() & self._spoken_of
             }
-            if not told:
-                return self._nlg.say("unknown_question", **words), {}, False
             if moves.says(sentence, "the_same"):
                 same = moves.named_slots(moves.same(sentence), self._spelling.lexicon)
                 told |= {slot: record[slot] for slot in same if slot in record}
             missing = [slot for slot, own in has.items() if not own]
             untold = {slot: meant[slot][0] for slot in missing if slot not in record}
+            if not told:
+                use = "no_promise" if untold else "unknown_question"
+                return self._nlg.say(use, values=untold, **words), {}, False
             lead = "yes" if len(untold) == len(missing) else "no"
             answer = (
                 f"{self._nlg.say(lead, **words)} {self._nlg.agent(Frame('inform', told), **words)}"

@@ -213,10 +213,11 @@ class Records:
         return torch.where(shown, self._implied(held), NONE)
 
     def is_same_day(self, held: Tensor, change: Mapping[int, int]) -> bool:
-        """Returns whether only the part of a day changes."""
+        """Returns whether only the part of a day changes, of what is held."""
         return all(
             slot in self._days and self._days[slot][value] == self._days[slot][held[slot]]
             for slot, value in change.items()
+            if held[slot] >= FIRST_VALUE
         )
 
     def _implied(self, held: Tensor) -> Tensor:

@@ -57,6 +57,8 @@ class WaysOut:
         self._tracking, self._records, self._nlg = tracking, records, nlg
         self._place, domain, kinds = place, spelling.domain, spelling.lexicon.kinds
         self._free = torch.tensor([slot in domain.free_slots for slot in domain.slots])
+        special = {*domain.special_slots}
+        self._own = self._free & torch.tensor([slot not in special for slot in domain.slots])
         index, asked = domain.slots.index, {action.slot for action in domain.actions}
         names = [slot for slot in kinds if slot in asked and kinds[slot] == "text"]
         # The slot with the most values, as the theater, and what a dialogue is about.
@@ -275,6 +277,17 @@ class WaysOut:
         held = full(memory.state)
         row = self._records.row(held, change, refused)
         return self._tracking.values(torch.where(self._free & (held >= FIRST_VALUE), held, row))
+
+    def is_whole(self, memory: Memory) -> bool:
+        """Returns whether all of a proposed record was told, or is in the proposal."""
+        assert memory.state is not None
+        held, proposed = full(memory.state), torch.tensor(self._tracking.ids(memory.proposal))
+        row = torch.tensor(self._tracking.ids(self.nearest(memory)))
+        is_told = (memory.state["wished"] > 0) & (held == row) | (proposed != NONE)
+        is_met = (held < FIRST_VALUE) | (held == row) | (proposed != NONE)
+        is_own = self._place & self._own
+        is_missing = (self._place & (row != NONE) & ~is_told) | (is_own & (held < FIRST_VALUE))
+        return bool((is_met & ~is_missing).all())
 
     def implied(self, values: Mapping[str, str]) -> dict[str, str]:
         """Returns values with those that they determine, as a theater its city."""

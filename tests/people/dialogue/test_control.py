@@ -219,7 +219,7 @@ def test_a_sentence_in_doubt_is_checked_and_keeps_what_was_understood(talk, repl
 
 def test_values_named_in_full_are_not_checked(talk):
     (answer,) = talk(("which theater has wonka in reno?", "request(date)"))
-    assert answer.acted
+    assert not answer.memory.asking.is_check
 
 
 @pytest.mark.parametrize(
@@ -234,12 +234,26 @@ def test_a_yes_to_a_check_may_say_more_and_is_not_checked_again(talk, reply, peo
 
 def test_what_was_heard_with_some_doubt_is_said_back_and_acted_on(talk):
     (answer,) = talk(("wonka in albany, for two?", "request(date)", "request(date)"))
-    assert answer.acted
+    assert not answer.memory.asking.is_check
     assert "theater" in answer.understood.requests
     said = answer.text.lower()
     assert "wonka" in said
     assert "albany" in said
     assert "right?" not in said
+
+
+def test_who_asks_what_another_theater_has_no_longer_wishes_the_movie(talk, spelling):
+    on = {(r.get("city"), r.get("theater"), r.get("moviename")) for r in spelling.domain.records}
+    on = sorted(one for one in on if None not in one)
+    city, movie, theater = next(
+        (city, movie, other)
+        for city, _, movie in on
+        for where, other, _ in on
+        if where == city and (city, other, movie) not in on
+    )
+    wish = (f"inform(moviename={movie}, city={city})", "request(date)")
+    _, answer = talk(wish, (f"request(moviename) inform(theater={theater})", "request(date)"))
+    assert (city, theater, answer.answered.informs["moviename"]) in on
 
 
 def test_no_detail_is_owned_up_to_that_the_name_of_the_theater_says(talk, spelling):
