@@ -20,7 +20,11 @@ _DATA = yaml.safe_load(Path(__file__).with_suffix(".yaml").read_text(encoding="u
 
 def _pattern(text: str) -> re.Pattern[str]:
     """Returns a compiled pattern of the file; lines break for a space, or after a ``|``."""
-    for short, long in (("|\n", "|"), ("\n", " "), *((f"<{n}>", _DATA[n]) for n in ("it", "yes"))):
+    for short, long in (
+        ("|\n", "|"),
+        ("\n", " "),
+        *((f"<{n}>", _DATA[n]) for n in ("it", "yes", "is_later")),
+    ):
         text = text.replace(short, long)
     return re.compile(re.sub(r"(?<!P)<x>", r"(?P<x>[\\w' ]+?)", text))
 

@@ -224,8 +224,15 @@ class Partner:
         if others and not dropped:
             informs = reading.frame.informs
             # "Anything later in the evening?"
-            own = {*informs} if moves.direction(text) else set()
-            vague = {s for s in own if self._spelling.is_vague_time(s, informs[s])}
+            vague = set()
+            if moves.direction(text):  # or "9:50 pm is a bit late"
+                vague = {
+                    slot
+                    for slot, value in informs.items()
+                    if self._spelling.lexicon.kinds.get(slot) == "time"
+                    if self._spelling.is_vague_time(slot, value)
+                    or self._spelling.is_meant(slot, value, record.get(slot, ""))
+                }
             vague |= {slot for slot, value in informs.items() if moves.is_relative(value)}
             informs = {slot: value for slot, value in informs.items() if slot not in vague}
             reading = replace(reading, frame=replace(reading.frame, informs=informs))

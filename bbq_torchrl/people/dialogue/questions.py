@@ -72,7 +72,7 @@ class Questions:
         is_yes = True
         names = sorted(map(fold, record.values()), key=len, reverse=True)
         name = rf"(?:{'|'.join(map(re.escape, names)) or '_'})\b"
-        subject = re.compile(rf"\b(is|does) {name}")
+        subject = re.compile(rf"\b(is|does) {name}(?= (?!right\b|correct\b)\w)")
         for sentence in moves.sentences(text):
             # "what time is the first matinee?" is no question about others
             is_others = bool(moves.others(re.sub(rf"\b{name}", "it", sentence)))

@@ -200,8 +200,8 @@ class WaysOut:
         if " the only" in wanted:  # "is 7 pm the only one?"
             slots = slots or named_values(wanted.split(" the only")[0], told, lexicon)
         slots = slots or [only] * moves.says(wanted, "other_one")
-        times = "time", "later", "earlier", "latest", "earliest"
-        if not slots and moves.says(moves.others(text), *times):
+        is_time = moves.says(moves.others(text), "time", "latest", "earliest")
+        if not slots and (is_time or moves.says(text, "later", "earlier")):
             slots = [slot for slot in lexicon.slots if lexicon.kinds[slot] == "time"]
         if not slots and question is not None:
             is_thing = moves.says(wanted, "thing") and not question.choices
