@@ -299,10 +299,14 @@ class Partner:
     ) -> Answer | None:
         """Returns the alternatives that each sentence of a text asks for, if any."""
         asking = [sentence for sentence in moves.sentences(text) if moves.others(sentence)]
-        of = [
-            moves.named_slots(moves.others(sentence), self._spelling.lexicon) for sentence in asking
+        lexicon = self._spelling.lexicon
+        times = {slot for slot, kind in lexicon.kinds.items() if kind == "time"}
+        named = [
+            {*moves.named_slots(moves.others(sentence), lexicon)}
+            | (times if moves.direction(sentence) else set())
+            for sentence in asking
         ]
-        if len(asking) < 2 or not set(of[0]).isdisjoint(*of[1:]) or not all(of[1:]):
+        if len(asking) < 2 or not all(named[1:]) or not named[0].isdisjoint(*named[1:]):
             asking = [text]
         answers = (self._ways_out.others(now, reading, s, question, words, news) for s in asking)
         found = [answer for answer in answers if answer is not None]
