@@ -109,6 +109,7 @@ def _visits() -> str:
 @block("learning.experience", "tried_experience.csv", "success_rate", "final")
 @block("learning.end", "tried_end.csv", "success_rate", "final")
 @block("learning.end_more", "tried_end_more.csv", "success_rate", "final")
+@block("learning.end_table1", "tried_end_table1.csv", "success_rate", "final")
 def _tried(file: str, end: str, name: str) -> str:
     """Returns each variant's difference from the first one by pairs of seeds, and the first one.
 
