@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 
 RULES = {
-    "yes_ends": "A yes to an offer that stands, and only that, ends the dialogue.",
+    "yes_ends": "Only a yes to an offer, or to a proposal told in full, ends the dialogue.",
     "asks_first": "What only the person can say is asked for, once, before an offer.",
     "answers_first": "A question is answered before anything else.",
     "no_asking_back": "The agent does not ask for what is known, asked for, or matters to few.",

@@ -84,6 +84,25 @@ class Hearing:
         frame = replace(reading.frame, informs={**reading.frame.informs, **meant})
         return replace(reading, frame=frame, unclear=unclear)
 
+    def without_relative(
+        self, reading: Understood, text: str, record: Mapping[str, str]
+    ) -> Understood:
+        """Returns the reading of a text that asks for others, without values that only say which.
+
+        They are "the last show", "later in the evening", and of a record "9:50 is a bit late".
+        """
+        is_moved, kinds = bool(moves.direction(text)), self._spelling.lexicon.kinds
+
+        def is_which(slot: str, value: str) -> bool:
+            is_own = slot in record and self._spelling.is_meant(slot, value, record[slot])
+            is_time = is_moved and kinds.get(slot) == "time"
+            is_vague = is_own or self._spelling.is_vague_time(slot, value)
+            return moves.is_relative(value) or (is_time and is_vague)
+
+        told = reading.frame.informs
+        informs = {slot: value for slot, value in told.items() if not is_which(slot, value)}
+        return replace(reading, frame=replace(reading.frame, informs=informs))
+
     def leaving(self, reading: Understood, text: str, is_offered: bool) -> Understood:
         """Returns a reading that ends the conversation only at words of farewell."""
         if "farewell" in self._rules:

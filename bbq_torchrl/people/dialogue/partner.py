@@ -222,20 +222,7 @@ class Partner:
             held |= before.asking.waiting.informs if before.asking.waiting else {}
             reading, dropped = self._hear.dropped(reading, text, question, held)
         if others and not dropped:
-            informs = reading.frame.informs
-            # "Anything later in the evening?"
-            vague = set()
-            if moves.direction(text):  # or "9:50 pm is a bit late"
-                vague = {
-                    slot
-                    for slot, value in informs.items()
-                    if self._spelling.lexicon.kinds.get(slot) == "time"
-                    if self._spelling.is_vague_time(slot, value)
-                    or self._spelling.is_meant(slot, value, record.get(slot, ""))
-                }
-            vague |= {slot for slot, value in informs.items() if moves.is_relative(value)}
-            informs = {slot: value for slot, value in informs.items() if slot not in vague}
-            reading = replace(reading, frame=replace(reading.frame, informs=informs))
+            reading = self._hear.without_relative(reading, text, record)
             told = values_of(before.asking.joined(reading.frame))
             state = self._acting.hear(before.state, Frame("inform", told))
             known, is_meant = {**held, **record}, self._spelling.is_meant
@@ -281,8 +268,8 @@ class Partner:
         names = " ".join(self._ways_out.nearest(answer.memory).values())
         if absent := {slot: value for slot, value in news.items() if value not in names}:
             answer = _led(answer, self._nlg.say("no_promise", values=absent, **words))
-        if (is_unsure or others) and (news := self._unsaid(before, understood, answer)):
-            answer = _led(answer, self._nlg.say("understood", values=news, **words))
+        if (is_unsure or others) and (unsaid := self._unsaid(before, understood, answer)):
+            answer = _led(answer, self._nlg.say("understood", values=unsaid, **words))
         is_found = answer.acted and not answer.memory.proposal and bool(values_of(understood))
         if is_any and is_found and not absent:
             answer = _led(answer, self._nlg.say("yes", **words))
