@@ -412,14 +412,16 @@ class Partner:
         held, implied = self._tracking.kept(before), self._ways_out.implied(informs)
         # A theater of another chain takes back the chain.
         gone = {
-            s: ANY
-            for s in self._details & held.keys() & implied.keys() - informs.keys()
-            if held[s] not in (ANY, implied[s])
+            slot: ANY
+            for slot, value in held.items()
+            if slot in self._details and slot not in informs
+            if value != ANY and implied.get(slot, value) != value
         }
         understood = replace(understood, informs={**gone, **understood.informs})
         state = self._acting.hear(before, understood)
         if self.control.is_stuck(state):  # "What is on at the other one?" wishes no movie
-            asked = dict.fromkeys(self._tracking.kept(state).keys() & {*understood.requests}, ANY)
+            kept = self._tracking.kept(state)
+            asked = {slot: ANY for slot in understood.requests if slot in kept}
             free = replace(understood, informs={**asked, **understood.informs})
             found = self._acting.hear(before, free)
             if asked and not self.control.is_stuck(found):

@@ -117,7 +117,7 @@ class Questions:
                 meant[slot] = [" ".join(said[start:end])]
             # "is it rated great?", "is it at the grove?"
             parts = [f" {one} {other} " for one, other in pairwise(said) if other not in SMALL]
-            parts += [f" {one} " for one in {*record.values()} & {*said}]
+            parts += [f" {one} " for one in said if one in record.values()]
             known = ((slot, part) for slot in record for part in parts if not meant)
             meant |= {slot: [part.strip()] for slot, part in known if part in f" {record[slot]} "}
         has = {slot: self._having(record, slot, values) for slot, values in meant.items()}
