@@ -106,7 +106,7 @@ def test_what_is_left_out_or_changed_is_said_by_file(imported, tmp_path):
 
 
 REFUSED = {
-    "an essential that is none": ([*CHOICES[:3], "from"], {}, "essential .*pickup, .* 'from'"),
+    "an unknown essential slot": ([*CHOICES[:3], "from"], {}, "essential .*pickup, .* 'from'"),
     "too few acts": (CHOICES, {"acts": REQUIRED_ACTS[:-1]}, r"acts .*'deny'"),
     "no slot": (CHOICES, {"slots": [""]}, r"slots\.txt"),
     "records of another form": (CHOICES, {"kb": []}, r"kb\.p .*\[\]"),

@@ -1,4 +1,4 @@
-"""What is a seed, and what is an action."""
+"""Environments take seeds and actions of these kinds."""
 
 import numpy as np
 import pytest

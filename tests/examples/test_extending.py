@@ -134,7 +134,7 @@ def test_the_installed_package_is_found_by_a_sweep_and_its_processes(tmp_path, m
     pip = ("-m", "pip", "install", "-q", "--no-deps", "--target", site, copy)
     forked.python(*pip, cwd=tmp_path)
     monkeypatch.setenv("PYTHONPATH", str(site))
-    # Two jobs at a time, although there is one: it runs in a process of its own.
+    # With two jobs at a time, even a single one runs in a process of its own.
     sweep = ("--multirun", "hydra.launcher.n_jobs=2", f"hydra.sweep.dir={runs}")
     chosen = ("agent=bbqn", "explore=ucb", "intrinsic=visits")
     forked.python(forked.ROOT / "train.py", *sweep, *chosen, *SHRUNKEN, cwd=tmp_path)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -24,7 +25,7 @@ from bbq_torchrl.people.language.words import is_no
 from bbq_torchrl.simulator import Simulator
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Iterable, Mapping
+    from collections.abc import Callable, Iterable, Mapping
 
     import torch
     from tensordict import TensorDict
@@ -131,7 +132,8 @@ class Partner:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
         if not told.text:
             reading, lead = self._without_strange(reading, question, words)
-            answer = self._reply(before, reading, text, words, moves.says(text, "question"))
+            asks = moves.says(text, "question")
+            answer = self._reply(before, record, reading, text, words, asks)
             return _led(answer, lead) if lead else answer
         is_only = (
             not told.rest
@@ -143,7 +145,7 @@ class Partner:
             stands = self._nlg.say("stands", **words) if is_about else ""
             answer = self._say(now, stands, reading)
         else:
-            answer = self._reply(before, reading, told.rest, words, True)
+            answer = self._reply(before, record, reading, told.rest, words, True)
         informs = {**told.values, **answer.answered.informs}
         return replace(
             answer,
@@ -161,12 +163,19 @@ class Partner:
         return not (told and is_known) or moves.says(text, "agrees")
 
     def _reply(
-        self, before: Memory, reading: Understood, text: str, words: dict[str, Any], asks: bool
+        self,
+        before: Memory,
+        record: Mapping[str, str],
+        reading: Understood,
+        text: str,
+        words: dict[str, Any],
+        asks: bool,
     ) -> Answer:
         """Returns the answer to a text with a meaning.
 
         Args:
             before: the memory before the text.
+            record: the values of the record that is proposed or offered, if any, by slot.
             reading: the meaning.
             text: the text, without the questions that are answered already.
             words: what determines the words.
@@ -188,8 +197,6 @@ class Partner:
         if "drop" in rules and is_said:
             reading, refused = self._hear.refused(reading, held)
             now = replace(now, refused=(*now.refused, *refused))
-        is_about = bool(before.proposal) or before.is_offered
-        record = self._ways_out.nearest(before) if is_about else {}
         is_no_more = is_no(text) or self._hear.is_bare(reading.frame, "deny")
         is_booked = False
         if before.asking.is_check:
@@ -227,7 +234,15 @@ class Partner:
             state = self._acting.hear(before.state, Frame("inform", told))
             known, is_meant = {**held, **record}, self._spelling.is_meant
             changed = {s for s, v in told.items() if s not in known or not is_meant(s, v, known[s])}
-            found = self._others(replace(now, state=state), reading, text, question, words, changed)
+            alternatives = partial(
+                self._ways_out.others,
+                replace(now, state=state),
+                reading,
+                question=question,
+                words=words,
+                news=changed,
+            )
+            found = self._others(text, alternatives)
             if found is not None:
                 beside = self._questions(self._ways_out.nearest(found.memory), text, words)
                 return _led(found, beside.text) if beside.text else found
@@ -275,15 +290,7 @@ class Partner:
             answer = _led(answer, self._nlg.say("yes", **words))
         return answer
 
-    def _others(
-        self,
-        now: Memory,
-        reading: Understood,
-        text: str,
-        question: Frame | None,
-        words: dict[str, Any],
-        news: Collection[str],
-    ) -> Answer | None:
+    def _others(self, text: str, alternatives: Callable[[str], Answer | None]) -> Answer | None:
         """Returns the alternatives that each sentence of a text asks for, if any."""
         asking = [sentence for sentence in moves.sentences(text) if moves.others(sentence)]
         lexicon = self._spelling.lexicon
@@ -295,8 +302,7 @@ class Partner:
         ]
         if len(asking) < 2 or not all(named[1:]) or not named[0].isdisjoint(*named[1:]):
             asking = [text]
-        answers = (self._ways_out.others(now, reading, s, question, words, news) for s in asking)
-        found = [answer for answer in answers if answer is not None]
+        found = [answer for answer in map(alternatives, asking) if answer is not None]
         if not found:
             return None
         # The last is what the next text replies to.
@@ -368,7 +374,7 @@ class Partner:
                 sentence, answered = self._nlg.say("no_more", **words), Frame("closing")
                 return Answer(sentence, reading, understood, answered, now, ended="agent")
         asked = [slot for slot in understood.requests if slot != self.domain.ticket_slot]
-        state = self._acting.hear(before, understood)
+        state = None
         if "way_out" in rules:
             understood, state = self._heard(before, understood)
             if not is_denied and self.control.is_stuck(state, self._ways_out.refused(now)):
@@ -376,7 +382,7 @@ class Partner:
                 return self._ways_out.alternative(now, reading, words, asked, is_refused=False)
         reply = self._acting.book if is_booked else self._acting.reply
         acted = reply(before, understood, words["session"], self._ways_out.refused(now))
-        if "way_out" in rules and self._is_elsewhere(state, acted.state):
+        if state is not None and self._is_elsewhere(state, acted.state):
             # A record that lacks a wish lent its values to another place.
             now = replace(now, state=state)
             found = self._ways_out.alternative(now, reading, words, asked, is_refused=False)

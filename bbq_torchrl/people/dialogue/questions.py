@@ -86,7 +86,8 @@ class Questions:
             if found is None:
                 rest.append(sentence)
                 continue
-            said += [found[0]] * (found[0] not in said)
+            if found[0] not in said:
+                said.append(found[0])
             told |= found[1]
             is_yes &= found[2]
         if not said:
