@@ -6,11 +6,11 @@ from bbq_torchrl.envs.dialogue import DialogueEnv, EnvState, ExtensionSchedule
 from bbq_torchrl.envs.policies import (
     CarefulPolicy,
     ClairvoyantPolicy,
+    RepairPolicy,
     SequencePolicy,
     UniformPolicy,
     scripted_policy,
 )
-from bbq_torchrl.envs.repair import RepairPolicy
 
 __all__ = [
     "CarefulPolicy",

@@ -5,7 +5,7 @@ import torch
 from tensordict import TensorDict
 
 from bbq_torchrl.envs import DialogueEnv, RepairPolicy, scripted_policy
-from bbq_torchrl.envs.repair import MAX_CONFIRMS, MAX_OFFERS
+from bbq_torchrl.envs.policies import MAX_CONFIRMS, MAX_OFFERS
 
 SLOTS = ["city", "date", "zip"]
 ANSWERED = "agent_act:inform agent_informed:theater"
