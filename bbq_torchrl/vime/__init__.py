@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from bbq_torchrl.vime.dynamics import DynamicsModel
-from bbq_torchrl.vime.dynamics_loss import DynamicsLoss, vime_losses
+from bbq_torchrl.vime.dynamics import DynamicsLoss, DynamicsModel, vime_losses
 from bbq_torchrl.vime.information_gain import information_gain
 from bbq_torchrl.vime.reward import VIMEReward
 
