@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from bbq_torchrl.vime.dynamics import DynamicsLoss, DynamicsModel, vime_losses
-from bbq_torchrl.vime.information_gain import information_gain
-from bbq_torchrl.vime.reward import VIMEReward
+from bbq_torchrl.vime.reward import VIMEReward, information_gain
 
 __all__ = [
     "DynamicsLoss",
