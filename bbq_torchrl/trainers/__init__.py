@@ -22,8 +22,7 @@ from bbq_torchrl.trainers.evaluation import (
     evaluate,
     evaluation_rollouts,
 )
-from bbq_torchrl.trainers.learn import Learner, losses_of
-from bbq_torchrl.trainers.optimizer import ReplicaAdam
+from bbq_torchrl.trainers.learn import Learner, ReplicaAdam, losses_of
 from bbq_torchrl.trainers.round_trainer import (
     NonFiniteLossError,
     RoundTrainer,
