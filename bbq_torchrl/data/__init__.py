@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from bbq_torchrl.data.bootstrap_mask import BootstrapMask
 from bbq_torchrl.data.replay import TRANSITION_KEYS, ReplicaReplay
-from bbq_torchrl.data.rows import Batch, validate_transitions
-from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
+from bbq_torchrl.data.rows import Batch, ProtectedRoundRobinWriter, validate_transitions
 
 __all__ = [
     "TRANSITION_KEYS",

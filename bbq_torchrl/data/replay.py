@@ -13,12 +13,12 @@ from torchrl.envs import Compose, Transform
 
 from bbq_torchrl.data.rows import (
     Batch,
+    ProtectedRoundRobinWriter,
     gather_rows,
     map_stored_rows,
     shuffled_indices,
     validate_transitions,
 )
-from bbq_torchrl.data.writers import ProtectedRoundRobinWriter
 from bbq_torchrl.protocols import Measured, Seeded, modules_with
 from bbq_torchrl.settings import at_least, check
 from bbq_torchrl.utils.seeds import checked_seed
