@@ -12,8 +12,14 @@ import numpy as np
 
 from bbq_torchrl.people.study.database import HIGHEST, LOWEST, SCALES
 from bbq_torchrl.people.study.export import export
-from bbq_torchrl.people.study.outcomes import Outcome, compare_pairs
-from bbq_torchrl.people.study.participants import auroc, kappa, participant_mean, proportion
+from bbq_torchrl.people.study.outcomes import (
+    Outcome,
+    auroc,
+    compare_pairs,
+    kappa,
+    participant_mean,
+    proportion,
+)
 from bbq_torchrl.people.study.simulate import RATING_RULE
 from bbq_torchrl.utils.reports import Report, Table, add_legend, draw_intervals, subplots
 

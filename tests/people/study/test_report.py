@@ -9,8 +9,7 @@ import pytest
 
 from bbq_torchrl.people.study.__main__ import main
 from bbq_torchrl.people.study.database import SCALES
-from bbq_torchrl.people.study.outcomes import compare_pairs, power, read_outcomes
-from bbq_torchrl.people.study.participants import participant_mean
+from bbq_torchrl.people.study.outcomes import compare_pairs, participant_mean, power, read_outcomes
 from bbq_torchrl.people.study.report import report, write_report
 from bbq_torchrl.people.study.storage import Store
 

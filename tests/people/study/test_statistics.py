@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bbq_torchrl.people.study.outcomes import power
-from bbq_torchrl.people.study.participants import (
+from bbq_torchrl.people.study.outcomes import (
     auroc,
     kappa,
     participant_mean,
+    power,
     proportion,
     sign_flip,
 )
