@@ -140,7 +140,7 @@ def _simulate(given: argparse.Namespace) -> None:
     make_talker = _function(given.talker)
     make_users = _function(USERS)
     study = load_study(given.study)
-    from bbq_torchrl.people.study.simulate import simulate
+    from bbq_torchrl.people.study.conversations import simulate
 
     # A separate name: the study's data file is for participants.
     given.study = given.study.with_stem(f"{given.study.stem}-simulated")

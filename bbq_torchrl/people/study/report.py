@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from bbq_torchrl.people.study.conversations import RATING_RULE
 from bbq_torchrl.people.study.database import HIGHEST, LOWEST, SCALES
 from bbq_torchrl.people.study.export import export
 from bbq_torchrl.people.study.outcomes import (
@@ -20,7 +21,6 @@ from bbq_torchrl.people.study.outcomes import (
     participant_mean,
     proportion,
 )
-from bbq_torchrl.people.study.simulate import RATING_RULE
 from bbq_torchrl.utils.reports import Report, Table, add_legend, draw_intervals, subplots
 
 if TYPE_CHECKING:

@@ -12,9 +12,9 @@ from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.frames import Coding, Frame
 from bbq_torchrl.people.language import Generator
 from bbq_torchrl.people.study import StudyError, load_study, players
+from bbq_torchrl.people.study.conversations import simulate
 from bbq_torchrl.people.study.outcomes import read_outcomes
 from bbq_torchrl.people.study.players import SimulatedUser
-from bbq_torchrl.people.study.simulate import simulate
 from bbq_torchrl.simulator import Simulator
 
 STUDY = """

@@ -8,11 +8,11 @@ from statistics import fmean
 import pytest
 
 from bbq_torchrl.people.study.__main__ import main
+from bbq_torchrl.people.study.conversations import RATING_RULE, drawn_ratings, simulate
 from bbq_torchrl.people.study.database import SCALES, StoreError
 from bbq_torchrl.people.study.export import export
 from bbq_torchrl.people.study.outcomes import read_outcomes
 from bbq_torchrl.people.study.report import report
-from bbq_torchrl.people.study.simulate import RATING_RULE, drawn_ratings, simulate
 from bbq_torchrl.people.study.storage import Store
 
 from .conftest import STUDY
