@@ -12,7 +12,7 @@ from statistics import fmean
 from typing import Any
 
 from bbq_torchrl.domains import movie_domain
-from bbq_torchrl.people.language.measure import (
+from bbq_torchrl.people.language.__main__ import (
     as_json,
     labeled_files,
     measure_round_trip,

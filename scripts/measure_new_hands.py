@@ -14,7 +14,7 @@ from pathlib import Path
 from bbq_torchrl.domains import load_domain
 from bbq_torchrl.domains.folder import SHIPPED
 from bbq_torchrl.people.language import Understander, read_lines
-from bbq_torchrl.people.language.measure import score
+from bbq_torchrl.people.language.__main__ import score
 from bbq_torchrl.people.language.training_lines import LEARNED_FILE
 
 _BEGINS = "# terse\n"

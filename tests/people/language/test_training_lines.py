@@ -6,9 +6,9 @@ import pytest
 
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.people.language import Frame, Understander, read_lines
+from bbq_torchrl.people.language.__main__ import calibration_error, calibration_floor
 from bbq_torchrl.people.language.asking import FOREIGN, OPENING
 from bbq_torchrl.people.language.corpus import make_examples
-from bbq_torchrl.people.language.measure import calibration_error, calibration_floor
 from bbq_torchrl.people.language.training_lines import (
     Line,
     Names,

@@ -186,7 +186,7 @@ def test_an_understander_is_kept_where_only_its_user_can_write(understand, tmp_p
 
 def test_a_domain_of_ones_own_is_measured_by_what_it_has(tmp_path, monkeypatch, capsys, restaurant):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("bbq_torchrl.people.language.measure._MADE", 50)
+    monkeypatch.setattr("bbq_torchrl.people.language.__main__._MADE", 50)
     Path("restaurant.language.npz").write_text("trained")
     understood = Understander.train(restaurant, sentences=40)
     monkeypatch.setattr(Understander, "train", lambda *_, **__: understood)
