@@ -17,9 +17,9 @@ from bbq_torchrl.bayes.noise import NoisePool, NoiseSource, SharedNoise
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.bayes.scope import KLSum
 from bbq_torchrl.bayes.weight_draw import KL_KIND, KLKind
+from bbq_torchrl.networks.q_actor import Inputs
 from bbq_torchrl.objectives.q_learning import OneStepQLoss
 from bbq_torchrl.objectives.td_loss import NumData
-from bbq_torchrl.objectives.value_function import Inputs
 from bbq_torchrl.settings import ABOVE_ZERO, AT_LEAST_ZERO, Allowed, check, one_of
 
 Target = Literal["map", "mc"]

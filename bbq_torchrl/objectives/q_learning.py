@@ -20,7 +20,7 @@ from torchrl.objectives.utils import ValueEstimators
 
 from bbq_torchrl.bayes.functional import checked_number, replicas_of
 from bbq_torchrl.bayes.scope import WeightMode
-from bbq_torchrl.networks.q_actor import legal_actions, masked
+from bbq_torchrl.networks.q_actor import Inputs, ValueFunction, legal_actions, masked
 from bbq_torchrl.objectives.td_loss import (
     DISTANCE,
     Distance,
@@ -29,7 +29,6 @@ from bbq_torchrl.objectives.td_loss import (
     row_entry,
     td_loss,
 )
-from bbq_torchrl.objectives.value_function import Inputs, ValueFunction
 from bbq_torchrl.settings import ABOVE_ZERO, PROBABILITY, check
 
 
