@@ -12,7 +12,7 @@ import functools
 import sys
 from collections.abc import Callable, Sequence
 
-from bbq_torchrl.domains import importing
+from bbq_torchrl.domains import miulab
 from bbq_torchrl.options import CalibrateConfig
 from bbq_torchrl.runs.compose import compose, take_config_dir
 from bbq_torchrl.settings import ConfigError
@@ -47,7 +47,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     """Runs the command line. Returns the exit code."""
     arguments = sys.argv[1:] if arguments is None else list(arguments)
     if arguments[:1] == ["import"]:
-        return importing.main(arguments[1:])
+        return miulab.main(arguments[1:])
     interruption.tell(lambda: "in a calibration", lambda: "the same command starts again")
     if not arguments or {"-h", "--help"} & set(arguments):
         output.write(USAGE)
