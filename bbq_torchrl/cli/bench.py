@@ -11,10 +11,13 @@ import logging
 import math
 import shlex
 import sys
+from argparse import Namespace
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import EXPERIMENT, load_folder, options
 from bbq_torchrl.runs.compose import compose, key_of, train_command
 from bbq_torchrl.runs.folders import is_finished, restarted_config, run_lock
@@ -23,12 +26,6 @@ from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.files import write_text
 from bbq_torchrl.utils.output import between, page
 from bbq_torchrl.utils.text import sentence
-
-if TYPE_CHECKING:
-    from argparse import Namespace
-    from collections.abc import Mapping, Sequence
-
-    from bbq_torchrl.options import Config
 
 _LOG = logging.getLogger(__name__)
 

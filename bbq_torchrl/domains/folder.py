@@ -13,11 +13,12 @@ from __future__ import annotations
 import csv
 import io
 import json
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache, partial
 from os.path import expanduser
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from bbq_torchrl.domains.domain import (
     ACTION_KINDS,
@@ -45,10 +46,7 @@ from bbq_torchrl.settings import (
 from bbq_torchrl.utils.files import csv_text, read_yaml, write_text
 from bbq_torchrl.utils.text import FaultsError, shown
 
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping, Sequence
-
-    _Tell = Callable[..., None]
+_Tell = Callable[..., None]
 
 SPECIFICATION_FILE = "domain.yaml"
 RECORDS_FILE = "knowledge_base.csv"

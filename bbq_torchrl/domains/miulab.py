@@ -8,13 +8,15 @@ is booked, the slots that a booking needs, and those that never constrain the kn
 
 from __future__ import annotations
 
+import argparse
 import io
 import pickle
 from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, fields
 from os.path import expanduser
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NoReturn
+from typing import Any, NoReturn
 
 import yaml
 
@@ -22,6 +24,7 @@ from bbq_torchrl.domains.domain import Domain, DomainError, Fault, Goal, Source,
 from bbq_torchrl.domains.folder import (
     SPECIFICATION_FILE,
     VALUES_FILE,
+    Corpus,
     content_of,
     fields_of,
     load_domain,
@@ -44,12 +47,6 @@ from bbq_torchrl.settings import (
 from bbq_torchrl.utils import output
 from bbq_torchrl.utils.files import write_text
 from bbq_torchrl.utils.text import FaultsError, sentence
-
-if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Iterable, Mapping, Sequence
-
-    from bbq_torchrl.domains.folder import Corpus
 
 REFERENCE_SLOT_ERROR_PROB = 0.0581
 """The slot error probability (mode ``value``) at which the rule policy succeeds in 18.3 % of the

@@ -9,13 +9,14 @@ installed packages for environments, but imports the module by itself for the id
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any, TypeAlias
 
 import gymnasium
 import numpy as np
 import torch
 from gymnasium.error import ResetNeeded
 from gymnasium.spaces import Box, Dict, Discrete
+from numpy.typing import NDArray
 from tensordict import TensorDict
 
 from bbq_torchrl.domains import Domain, load_domain, movie_domain
@@ -24,12 +25,7 @@ from bbq_torchrl.simulator import Transcript
 from bbq_torchrl.simulator.features import COUNT_SCALE, TURN_SCALE
 from bbq_torchrl.utils.seeds import checked_seed
 
-if TYPE_CHECKING:
-    from typing import TypeAlias
-
-    from numpy.typing import NDArray
-
-    Observation: TypeAlias = NDArray[np.float32] | dict[str, NDArray[Any]]
+Observation: TypeAlias = NDArray[np.float32] | dict[str, NDArray[Any]]
 
 ENV_ID = "bbq_torchrl/MovieDialogue-v0"
 """The id of the environment for ``gymnasium.make``."""

@@ -7,36 +7,30 @@ Counting what the nlu mishears gives the tables of
 from __future__ import annotations
 
 import json
+from collections.abc import Iterable, Mapping
 from itertools import cycle
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 import torch
+from tensordict import TensorDictBase
+from tensordict.nn import TensorDictModuleBase
 from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
 
-from bbq_torchrl.domains import tensorize
+from bbq_torchrl.domains import Domain, DomainTensors, tensorize
 from bbq_torchrl.domains.domain import RANDOM_POLICY
 from bbq_torchrl.domains.frames import Coding
 from bbq_torchrl.domains.tensors import index_below
 from bbq_torchrl.envs.dialogue import DialogueEnv
 from bbq_torchrl.envs.policies import scripted_policy
-from bbq_torchrl.people.language import Frame, Generator, TextError, Understood
+from bbq_torchrl.people.language import Frame, Generator, TextError, Understander, Understood
 from bbq_torchrl.people.language.asking import Asking, repeated
 from bbq_torchrl.people.language.understander import cached_understander
 from bbq_torchrl.simulator import Utterance
 from bbq_torchrl.simulator.measured_errors import ERRORS_FILE, ErrorCounter
+from bbq_torchrl.simulator.tracker import AgentTurn
 from bbq_torchrl.utils.files import write_text
 from bbq_torchrl.utils.seeds import checked_seed
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
-    from pathlib import Path
-
-    from tensordict import TensorDictBase
-    from tensordict.nn import TensorDictModuleBase
-
-    from bbq_torchrl.domains import Domain, DomainTensors
-    from bbq_torchrl.people.language import Understander
-    from bbq_torchrl.simulator.tracker import AgentTurn
 
 VARIANTS = 16
 """The number of wordings of an act."""

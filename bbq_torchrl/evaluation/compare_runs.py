@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 from bbq_torchrl.evaluation.curves import FIRST, LEVEL
 from bbq_torchrl.evaluation.figures import draw_comparison
 from bbq_torchrl.evaluation.finished_runs import find_runs
 from bbq_torchrl.evaluation.groups import (
     EARLY,
+    Group,
     adjusted,
     difference,
     labeled,
@@ -23,11 +24,6 @@ from bbq_torchrl.utils import interruption, output
 from bbq_torchrl.utils.reports import Report, Table, draw_intervals
 from bbq_torchrl.utils.statistics import estimate, estimate_iqm
 from bbq_torchrl.utils.text import EMPTY, as_typed
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from bbq_torchrl.evaluation.groups import Group
 
 PAPER = {
     "full": {

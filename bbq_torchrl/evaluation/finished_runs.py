@@ -14,21 +14,17 @@ import csv
 import json
 import lzma
 import math
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import groupby
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from bbq_torchrl.evaluation.curves import Metrics, numbers, read_metrics
-from bbq_torchrl.evaluation.run_result import flat, read_result, result_of
+from bbq_torchrl.evaluation.run_result import ReplicaResult, RunResult, flat, read_result, result_of
 from bbq_torchrl.utils.files import CONFIG, METRICS, RESULT, folder_of, numbers_in_order, read_yaml
 from bbq_torchrl.utils.text import sentence
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Iterator, Mapping
-    from pathlib import Path
-
-    from bbq_torchrl.evaluation.run_result import ReplicaResult, RunResult
 
 RUNS, TABLE = "runs.json", "metrics.csv.xz"
 """The files of an experiment's table."""

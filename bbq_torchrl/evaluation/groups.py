@@ -7,25 +7,24 @@ out of their difference.
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from pathlib import Path
 from statistics import fmean
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from bbq_torchrl.evaluation.curves import Reach, areas, booked, rounds_to_reach
-from bbq_torchrl.evaluation.finished_runs import distinguishing_keys, names_option, read_runs
-from bbq_torchrl.evaluation.run_result import reference_lines
-from bbq_torchrl.utils.statistics import PValue, estimate, holm, t_test
+from bbq_torchrl.evaluation.finished_runs import (
+    Replica,
+    distinguishing_keys,
+    names_option,
+    read_runs,
+)
+from bbq_torchrl.evaluation.run_result import RunResult, reference_lines
+from bbq_torchrl.utils.statistics import Estimate, PValue, estimate, holm, t_test
 from bbq_torchrl.utils.text import as_typed
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    from bbq_torchrl.evaluation.finished_runs import Replica
-    from bbq_torchrl.evaluation.run_result import RunResult
-    from bbq_torchrl.utils.statistics import Estimate
 
 _OF_AN_AGENT = ("agent.", "explore.", "intrinsic.")
 """Prefixes of the keys that define an agent."""

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
+from collections.abc import Callable
 
 from tensordict import TensorDict
+from tensordict.nn import TensorDictModuleBase
+from torch import Tensor
 
 from bbq_torchrl.bayes import GaussianPosterior
 from bbq_torchrl.bayes.layers import local_weight_scope
@@ -13,12 +15,6 @@ from bbq_torchrl.exploration.base import EvaluationPolicy, Greedy
 from bbq_torchrl.exploration.bootstrap import MajorityVote
 from bbq_torchrl.networks import BootstrapMLP, FlatMLP
 from bbq_torchrl.networks.q_actor import split_actor
-
-if TYPE_CHECKING:
-    from collections.abc import Callable
-
-    from tensordict.nn import TensorDictModuleBase
-    from torch import Tensor
 
 
 def q_draws(policy: TensorDictModuleBase, inputs: Tensor, draws: int) -> Tensor | None:

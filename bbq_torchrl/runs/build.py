@@ -5,15 +5,21 @@ from __future__ import annotations
 import logging
 import os
 import subprocess
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
 import torch
+from tensordict import NestedKey
+from torch import Tensor, nn
+from torchrl.envs import EnvBase
+from torchrl.modules import QValueActor
 
 import bbq_torchrl
 from bbq_torchrl.data.replay import TRANSITION_KEYS
-from bbq_torchrl.options import Task
+from bbq_torchrl.domains import Domain
+from bbq_torchrl.options import Config, EvaluateConfig, Task
 from bbq_torchrl.options.task import action_mask_key, lists, spread
 from bbq_torchrl.runs.folders import config_fingerprint, finished_result
 from bbq_torchrl.settings import ConfigError
@@ -21,27 +27,16 @@ from bbq_torchrl.trainers import (
     CheckpointDamagedError,
     CheckpointFolder,
     RoundEvaluator,
+    RoundTrainer,
     TrainingError,
     episode_stats,
     rollouts,
 )
 from bbq_torchrl.trainers.learn import keep_freed_memory
+from bbq_torchrl.trainers.recording import MetricRow
 from bbq_torchrl.utils.files import CHECKPOINTS, METRICS, RESULT
 from bbq_torchrl.utils.seeds import derive_seed
 from bbq_torchrl.utils.text import FaultsError, shown
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Sequence
-
-    from tensordict import NestedKey
-    from torch import Tensor, nn
-    from torchrl.envs import EnvBase
-    from torchrl.modules import QValueActor
-
-    from bbq_torchrl.domains import Domain
-    from bbq_torchrl.options import Config, EvaluateConfig
-    from bbq_torchrl.trainers import RoundTrainer
-    from bbq_torchrl.trainers.recording import MetricRow
 
 _LOG = logging.getLogger(__name__)
 

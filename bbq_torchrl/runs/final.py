@@ -7,9 +7,14 @@ import logging
 import platform
 import time
 from importlib.metadata import version
-from typing import TYPE_CHECKING
+from pathlib import Path
+
+from tensordict.nn import TensorDictModuleBase
+from torchrl.envs import EnvBase
+from torchrl.modules import QValueActor
 
 import bbq_torchrl
+from bbq_torchrl.domains import Domain
 from bbq_torchrl.domains.domain import RANDOM_POLICY
 from bbq_torchrl.evaluation.curves import Metrics
 from bbq_torchrl.evaluation.figures import draw_run
@@ -25,25 +30,14 @@ from bbq_torchrl.evaluation.run_result import (
     training_evaluation,
     write_json,
 )
+from bbq_torchrl.options import Config
+from bbq_torchrl.options.logger import RunLogger
 from bbq_torchrl.options.task import replica_values
 from bbq_torchrl.protocols import enter_round
-from bbq_torchrl.runs.build import check_weights, divergence
+from bbq_torchrl.runs.build import Checkout, check_weights, divergence
 from bbq_torchrl.settings import ConfigError
-from bbq_torchrl.trainers import RunFolderGoneError, evaluate
+from bbq_torchrl.trainers import EpisodeStats, RoundTrainer, RunFolderGoneError, evaluate
 from bbq_torchrl.utils.files import CURVE, RESULT
-
-if TYPE_CHECKING:
-    from pathlib import Path
-
-    from tensordict.nn import TensorDictModuleBase
-    from torchrl.envs import EnvBase
-    from torchrl.modules import QValueActor
-
-    from bbq_torchrl.domains import Domain
-    from bbq_torchrl.options import Config
-    from bbq_torchrl.options.logger import RunLogger
-    from bbq_torchrl.runs.build import Checkout
-    from bbq_torchrl.trainers import EpisodeStats, RoundTrainer
 
 _LOG = logging.getLogger(__name__)
 

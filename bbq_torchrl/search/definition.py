@@ -12,14 +12,16 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from os.path import expanduser
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from omegaconf import DictConfig, OmegaConf
 
+from bbq_torchrl.options import Config
 from bbq_torchrl.options.registry import config_folders, options
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.settings import (
@@ -35,11 +37,6 @@ from bbq_torchrl.settings import (
     optional,
     setting,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from bbq_torchrl.options import Config
 
 SEARCH = "search"
 """Prefix of the search's keys, and the folder of its YAML files."""

@@ -12,38 +12,31 @@ import shlex
 import time
 import warnings
 from collections import Counter
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any
 
 import optuna
 from filelock import FileLock
-from optuna.trial import TrialState
+from optuna.trial import FrozenTrial, TrialState
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.pool import NullPool
 
 from bbq_torchrl.evaluation.curves import read_metrics
-from bbq_torchrl.evaluation.run_result import read_result, write_json
+from bbq_torchrl.evaluation.run_result import RunResult, read_result, write_json
+from bbq_torchrl.options import Config
 from bbq_torchrl.runs.compose import train_command
 from bbq_torchrl.runs.folders import is_finished, refuse_links, restarted_config
+from bbq_torchrl.search.definition import Search, SearchConfig
 from bbq_torchrl.settings import ConfigError
-from bbq_torchrl.trainers import TrainingError
+from bbq_torchrl.trainers import RoundTrainer, TrainingError
+from bbq_torchrl.trainers.recording import MetricRow
+from bbq_torchrl.trainers.round_trainer import RoundCallback
 from bbq_torchrl.utils.output import sqlite_url
 from bbq_torchrl.utils.reports import Table
 from bbq_torchrl.utils.seeds import derive_seed
 from bbq_torchrl.utils.statistics import interquartile_mean
 from bbq_torchrl.utils.text import sentence
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-    from pathlib import Path
-
-    from optuna.trial import FrozenTrial
-
-    from bbq_torchrl.evaluation.run_result import RunResult
-    from bbq_torchrl.options import Config
-    from bbq_torchrl.search.definition import Search, SearchConfig
-    from bbq_torchrl.trainers import RoundTrainer
-    from bbq_torchrl.trainers.recording import MetricRow
-    from bbq_torchrl.trainers.round_trainer import RoundCallback
 
 _LOG = logging.getLogger(__name__)
 

@@ -7,19 +7,23 @@ if __name__ == "__main__":  # before anything that takes time to import
 
     interruption.listen()
 
+import argparse
 import json
 import math
 import random
 import sys
 import time
+from collections.abc import Callable, Mapping, Sequence
 from itertools import compress
 from pathlib import Path
 from statistics import fmean
 from tempfile import TemporaryDirectory
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import torch
+from tensordict.nn import TensorDictModuleBase
 
+from bbq_torchrl.domains import Domain
 from bbq_torchrl.domains.folder import SHIPPED, named_domain
 from bbq_torchrl.people.language.corpus import make_examples, play
 from bbq_torchrl.people.language.generator import Generator
@@ -27,14 +31,6 @@ from bbq_torchrl.people.language.training_lines import Line, read_lines, without
 from bbq_torchrl.people.language.understander import SENTENCES, Understander, keys_of, same_frame
 from bbq_torchrl.utils import output
 from bbq_torchrl.utils.files import write_text
-
-if TYPE_CHECKING:
-    import argparse
-    from collections.abc import Callable, Mapping, Sequence
-
-    from tensordict.nn import TensorDictModuleBase
-
-    from bbq_torchrl.domains import Domain
 
 _DOMAIN = f"{', '.join(SHIPPED)}, or a domain's folder"
 

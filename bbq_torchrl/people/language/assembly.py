@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-from typing import TYPE_CHECKING
+from collections.abc import Iterator, Sequence
 
 import torch
 
 from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT, Frame
 from bbq_torchrl.people.language.asking import OPENING, Unclear, asked_slot
+from bbq_torchrl.people.language.lexicon import Lexicon, Link
+from bbq_torchrl.people.language.model import Reading
 from bbq_torchrl.people.language.quantities import sure_kind
 from bbq_torchrl.people.language.words import (
     ENGLISH,
@@ -19,12 +21,6 @@ from bbq_torchrl.people.language.words import (
     spans_of,
     untagged,
 )
-
-if TYPE_CHECKING:
-    from collections.abc import Iterator, Sequence
-
-    from bbq_torchrl.people.language.lexicon import Lexicon, Link
-    from bbq_torchrl.people.language.model import Reading
 
 _SHORT = 4  # words of an answer that may be just a name
 

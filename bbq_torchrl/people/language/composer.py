@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import random
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import partial
-from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT, Frame
 from bbq_torchrl.people.language.asking import OPENING, asked_slot
+from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.phrases import (
     Piece,
     Template,
@@ -17,12 +19,6 @@ from bbq_torchrl.people.language.phrases import (
     plain,
 )
 from bbq_torchrl.people.language.words import compact
-
-if TYPE_CHECKING:
-    import random
-    from collections.abc import Callable, Mapping, Sequence
-
-    from bbq_torchrl.people.language.lexicon import Lexicon
 
 _TRIES = 8
 _ASIDES = 0.2

@@ -4,33 +4,28 @@ from __future__ import annotations
 
 import random
 import re
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import groupby
-from typing import TYPE_CHECKING, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import torch
+from tensordict import TensorDict
 
-from bbq_torchrl.domains import tensorize
+from bbq_torchrl.domains import Domain, tensorize
 from bbq_torchrl.domains.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Coding, Frame
 from bbq_torchrl.people.language.asking import OPENING
 from bbq_torchrl.people.language.composer import Composer
+from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.paraphrase import (
     Paraphraser,
     as_second_language,
     slangy,
     with_typos,
 )
+from bbq_torchrl.people.language.phrases import Piece
 from bbq_torchrl.people.language.words import ENGLISH, OUTSIDE, tokenize
 from bbq_torchrl.simulator import Simulator
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from tensordict import TensorDict
-
-    from bbq_torchrl.domains import Domain
-    from bbq_torchrl.people.language.lexicon import Lexicon
-    from bbq_torchrl.people.language.phrases import Piece
 
 _SLOTLESS = tuple(
     "greeting thanks deny confirm_answer not_sure closing welcome request inform confirm_question "

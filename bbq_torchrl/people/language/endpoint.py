@@ -5,23 +5,20 @@ from __future__ import annotations
 import json
 import logging
 import time
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from queue import Empty, SimpleQueue
 from threading import Thread
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 from urllib.parse import urlsplit
 
 from bbq_torchrl.domains.frames import ANY, Frame
 from bbq_torchrl.people.language.asking import Unclear, Understood
+from bbq_torchrl.people.language.generator import Generator
+from bbq_torchrl.people.language.understander import Understander
 from bbq_torchrl.people.language.words import legible, words_of
 from bbq_torchrl.utils.output import needed
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping, Sequence
-
-    from bbq_torchrl.people.language.generator import Generator
-    from bbq_torchrl.people.language.understander import Understander
 
 _T = TypeVar("_T")
 _LOG = logging.getLogger(__name__)

@@ -6,23 +6,18 @@ import hashlib
 import math
 import random
 import re
+from collections.abc import Mapping, Sequence
 from itertools import combinations
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from bbq_torchrl.domains import fold
+from bbq_torchrl.domains import Domain, fold
 from bbq_torchrl.domains.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Frame
+from bbq_torchrl.people.language.asking import Understood
 from bbq_torchrl.people.language.composer import Composer
 from bbq_torchrl.people.language.lexicon import Lexicon
-from bbq_torchrl.people.language.phrases import Piece, choose, plain
+from bbq_torchrl.people.language.phrases import Piece, Template, choose, plain
 from bbq_torchrl.people.language.quantities import minutes_of
 from bbq_torchrl.people.language.words import pairs, word_set
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
-
-    from bbq_torchrl.domains import Domain
-    from bbq_torchrl.people.language.asking import Understood
-    from bbq_torchrl.people.language.phrases import Template
 
 _MAX_IN_CONFLICT = 4
 _MAX_CHOICES = 5

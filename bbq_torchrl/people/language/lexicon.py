@@ -5,21 +5,17 @@ from __future__ import annotations
 import math
 import re
 from collections import Counter, defaultdict
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache, cached_property, lru_cache, partial
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from bbq_torchrl.domains import build_vocabulary, fold
+from bbq_torchrl.domains import Domain, build_vocabulary, fold
 from bbq_torchrl.domains.values import FIRST_VALUE
 from bbq_torchrl.people.language.phrases import load_phrases
 from bbq_torchrl.people.language.quantities import READERS, Kind, kind_of, sure_kind
 from bbq_torchrl.people.language.words import POLITE, SMALL, Span, compact, pairs, tokenize
 from bbq_torchrl.utils.output import needed
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from bbq_torchrl.domains import Domain
 
 _NEGATIVE = re.compile(r"-\s?\d")
 _CLOSE = 0.045

@@ -7,28 +7,25 @@ from __future__ import annotations
 
 import tempfile
 from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, NoReturn
+from typing import NoReturn
 
 import torch
 from torch import nn
 from torch.nn import functional
 from tqdm import tqdm
 
+from bbq_torchrl.domains import Domain
 from bbq_torchrl.domains.frames import Frame
 from bbq_torchrl.people.language.asking import FOREIGN, asked_slot
+from bbq_torchrl.people.language.corpus import Example
+from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.sentence_features import UNKNOWN, Features
 from bbq_torchrl.people.language.words import OUTSIDE
 from bbq_torchrl.utils.output import needed
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from bbq_torchrl.domains import Domain
-    from bbq_torchrl.people.language.corpus import Example
-    from bbq_torchrl.people.language.lexicon import Lexicon
 
 
 class Tagger:

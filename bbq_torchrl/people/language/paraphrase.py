@@ -3,19 +3,14 @@
 from __future__ import annotations
 
 import calendar
+import random
 import re
+from collections.abc import Sequence
 from functools import cache
-from typing import TYPE_CHECKING
 
+from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.quantities import ORDINALS, TENS, UNITS
 from bbq_torchrl.people.language.words import ENGLISH, OUTSIDE, compact, pairs, word_set
-
-if TYPE_CHECKING:
-    import random
-    from collections.abc import Sequence
-
-    from bbq_torchrl.people.language.lexicon import Lexicon
-
 
 _MATES = ENGLISH["mates"].split()
 

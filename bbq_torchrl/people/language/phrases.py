@@ -11,25 +11,22 @@ Phrases have choices: ``[i want|get me] {count} tickets <please>``.
 
 from __future__ import annotations
 
+import random
 import re
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from graphlib import CycleError, TopologicalSorter
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import yaml
 
+from bbq_torchrl.domains import Domain
 from bbq_torchrl.people.language.quantities import KINDS, Kind
 from bbq_torchrl.settings import MAPPING, WORDS, Allowed, one_of, optional
 from bbq_torchrl.utils.files import read_yaml
 from bbq_torchrl.utils.text import FaultsError, shown
-
-if TYPE_CHECKING:
-    import random
-    from collections.abc import Iterator, Mapping, Sequence
-
-    from bbq_torchrl.domains import Domain
 
 _TOKEN = re.compile(r"[\[\]|]|\{\w*\}|<\w+>|[^\[\]|{}<>]+|.", re.DOTALL)
 

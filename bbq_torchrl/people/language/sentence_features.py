@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections import defaultdict
+from collections.abc import Iterable, Sequence
 from functools import lru_cache
-from typing import TYPE_CHECKING
 
-from bbq_torchrl.people.language.lexicon import fuzzy
+from bbq_torchrl.domains.frames import Frame
+from bbq_torchrl.people.language.lexicon import Lexicon, fuzzy
 from bbq_torchrl.people.language.quantities import (
     COUNT_WORDS,
     DAY_WORDS,
@@ -16,15 +17,9 @@ from bbq_torchrl.people.language.quantities import (
     PART_WORDS,
     READERS,
     RELATION_WORDS,
+    Kind,
 )
 from bbq_torchrl.people.language.words import OUTSIDE, compact, spans_of, word_set
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Sequence
-
-    from bbq_torchrl.domains.frames import Frame
-    from bbq_torchrl.people.language.lexicon import Lexicon
-    from bbq_torchrl.people.language.quantities import Kind
 
 _LONGEST = 9
 _LONGEST_QUANTITY = 6

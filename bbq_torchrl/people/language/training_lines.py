@@ -6,13 +6,16 @@ A labeled line is ``agent's last act | sentence | meaning``.
 from __future__ import annotations
 
 import random
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
+from bbq_torchrl.domains import Domain
 from bbq_torchrl.domains.frames import ANY, Frame
 from bbq_torchrl.people.language.asking import FOREIGN, OPENING
 from bbq_torchrl.people.language.corpus import Example, spoiled, tag
+from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.paraphrase import Paraphraser
 from bbq_torchrl.people.language.phrases import Piece, choose, parse
 from bbq_torchrl.people.language.words import (
@@ -25,13 +28,6 @@ from bbq_torchrl.people.language.words import (
     words_of,
 )
 from bbq_torchrl.utils.text import FaultsError
-
-if TYPE_CHECKING:
-    from collections.abc import Sequence
-
-    from bbq_torchrl.domains import Domain
-    from bbq_torchrl.people.language.lexicon import Lexicon
-
 
 _TRIES = 10
 _LONGEST_WORD = 9  # letters of a made-up word

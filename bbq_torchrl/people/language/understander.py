@@ -8,17 +8,20 @@ import io
 import json
 import math
 import os
+from collections.abc import Callable, Sequence
 from contextlib import suppress
 from importlib.metadata import version
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 import torch
 
-from bbq_torchrl.people.language.asking import FOREIGN, OPENING, Understood
+from bbq_torchrl.domains import Domain
+from bbq_torchrl.domains.frames import Frame
+from bbq_torchrl.people.language.asking import FOREIGN, OPENING, Unclear, Understood
 from bbq_torchrl.people.language.assembly import assemble
-from bbq_torchrl.people.language.corpus import make_examples, spoiled
+from bbq_torchrl.people.language.corpus import Example, make_examples, spoiled
 from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.model import IntentNet, Model, Tagger, fit
 from bbq_torchrl.people.language.paraphrase import Paraphraser
@@ -27,6 +30,7 @@ from bbq_torchrl.people.language.sentence_features import Features
 from bbq_torchrl.people.language.training_lines import (
     DRILLED_FILE,
     LEARNED_FILE,
+    Line,
     as_examples,
     lines_of,
     make_foreign,
@@ -35,15 +39,6 @@ from bbq_torchrl.people.language.training_lines import (
 )
 from bbq_torchrl.people.language.words import words_of
 from bbq_torchrl.utils.files import write_bytes
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Sequence
-
-    from bbq_torchrl.domains import Domain
-    from bbq_torchrl.domains.frames import Frame
-    from bbq_torchrl.people.language.asking import Unclear
-    from bbq_torchrl.people.language.corpus import Example
-    from bbq_torchrl.people.language.training_lines import Line
 
 SENTENCES = 7_200
 """The maximum number of people's sentences to learn from."""

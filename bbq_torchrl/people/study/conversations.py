@@ -5,24 +5,20 @@ from __future__ import annotations
 import hashlib
 import re
 import threading
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import closing, contextmanager
 from random import Random
 from types import SimpleNamespace
-from typing import TYPE_CHECKING, Protocol
+from typing import Protocol
 
+from bbq_torchrl.domains import Goal
+from bbq_torchrl.domains.frames import Frame
+from bbq_torchrl.people.dialogue import Talker
 from bbq_torchrl.people.dialogue.judge import Judge
-from bbq_torchrl.people.study.database import HIGHEST, LOWEST, SCALES, current
+from bbq_torchrl.people.study.database import HIGHEST, LOWEST, SCALES, Exchange, Session, current
+from bbq_torchrl.people.study.plan import Study
 from bbq_torchrl.people.study.storage import Store
 from bbq_torchrl.utils.text import TextError, clean
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from bbq_torchrl.domains import Goal
-    from bbq_torchrl.domains.frames import Frame
-    from bbq_torchrl.people.dialogue import Talker
-    from bbq_torchrl.people.study.database import Exchange, Session
-    from bbq_torchrl.people.study.plan import Study
 
 _NONCE = re.compile(r"[A-Za-z0-9_-]{20,40}", re.ASCII)
 _ID = re.compile(r"[A-Za-z0-9_][\w.:@+=~-]{0,127}", re.ASCII)

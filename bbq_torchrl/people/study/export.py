@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import json
 import re
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import asdict
 from datetime import datetime, timezone
-from typing import TYPE_CHECKING, Any
+from pathlib import Path
+from typing import Any
 
 from bbq_torchrl.people.study.database import (
     IS_FINISHED,
@@ -15,16 +17,9 @@ from bbq_torchrl.people.study.database import (
     StoreError,
     opened,
 )
-from bbq_torchrl.people.study.outcomes import report_names
+from bbq_torchrl.people.study.outcomes import Outcome, Outcomes, report_names
 from bbq_torchrl.people.study.storage import hashed
 from bbq_torchrl.utils.files import csv_text, write_text
-
-if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
-    from pathlib import Path
-
-    from bbq_torchrl.people.study.outcomes import Outcome, Outcomes
-
 
 _FORMULA = ("=", "+", "-", "@")
 _REPLACED = (

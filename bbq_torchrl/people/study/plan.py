@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import chain
 from os.path import expanduser
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
+from bbq_torchrl.domains import Domain
 from bbq_torchrl.domains.folder import SHIPPED, named_domain
 from bbq_torchrl.people.dialogue.judge import Judge
 from bbq_torchrl.settings import (
@@ -26,11 +28,6 @@ from bbq_torchrl.settings import (
 )
 from bbq_torchrl.utils.files import read_yaml
 from bbq_torchrl.utils.text import FaultsError, sentence, shown
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from bbq_torchrl.domains import Domain
 
 _ATTAINABLE = "attainable"
 _QUOTED = "both text (yes, no, numbers and dates in quotes)"  # YAML reads others as something else

@@ -8,7 +8,7 @@ from __future__ import annotations
 import hashlib
 import logging
 import threading
-from typing import TYPE_CHECKING
+from collections.abc import Callable, Mapping
 
 import torch
 
@@ -23,16 +23,11 @@ from bbq_torchrl.people.language import Generator, load_phrases
 from bbq_torchrl.people.language.asking import repeated
 from bbq_torchrl.people.language.phrases import GENERIC, has_own_phrases
 from bbq_torchrl.people.language.understander import cached_understander, language_key
-from bbq_torchrl.people.study import Reply, StudyError
+from bbq_torchrl.people.study import Reply, Study, StudyError
 from bbq_torchrl.runs.folders import run_folder
 from bbq_torchrl.simulator import Simulator
 from bbq_torchrl.simulator.tracker import AgentTurn
 from bbq_torchrl.utils.output import print_error
-
-if TYPE_CHECKING:
-    from collections.abc import Callable, Mapping
-
-    from bbq_torchrl.people.study import Study
 
 _log = logging.getLogger(__name__)
 _MULTIPLE_CHOICE = "multiple_choice"

@@ -6,16 +6,19 @@ import hashlib
 import hmac
 import json
 import secrets
+import sqlite3
 import threading
 import time
 from base64 import urlsafe_b64encode
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import asdict
 from itertools import starmap
 from random import Random
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import bbq_torchrl
+from bbq_torchrl.people.dialogue import Reply, Talker
 from bbq_torchrl.people.study.database import (
     EXCHANGES,
     IS_FINISHED,
@@ -28,14 +31,7 @@ from bbq_torchrl.people.study.database import (
     as_store_errors,
     serving,
 )
-from bbq_torchrl.people.study.plan import MAY_CHANGE
-
-if TYPE_CHECKING:
-    import sqlite3
-    from collections.abc import Callable, Iterator, Mapping, Sequence
-
-    from bbq_torchrl.people.dialogue import Reply, Talker
-    from bbq_torchrl.people.study.plan import Study
+from bbq_torchrl.people.study.plan import MAY_CHANGE, Study
 
 
 class ForgottenError(RuntimeError):

@@ -6,36 +6,27 @@ import asyncio
 import hmac
 import logging
 import secrets
-from typing import TYPE_CHECKING, Any
+from collections.abc import Mapping
+from typing import Any
 from urllib.parse import parse_qsl
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from starlette.applications import Starlette
 from starlette.exceptions import HTTPException
 from starlette.middleware import Middleware
-from starlette.middleware.base import BaseHTTPMiddleware
-from starlette.requests import ClientDisconnect
+from starlette.middleware.base import BaseHTTPMiddleware, RequestResponseEndpoint
+from starlette.requests import ClientDisconnect, Request
 from starlette.responses import HTMLResponse, RedirectResponse, Response
 from starlette.routing import Mount, Route
 from starlette.staticfiles import StaticFiles
 
+from bbq_torchrl.people.dialogue import Talker
 from bbq_torchrl.people.dialogue.judge import card
 from bbq_torchrl.people.study.conversations import Conversations, RefusedError, ids_of
-from bbq_torchrl.people.study.database import StoreError, current
-from bbq_torchrl.people.study.plan import Address
-from bbq_torchrl.people.study.storage import ForgottenError
+from bbq_torchrl.people.study.database import Session, StoreError, current
+from bbq_torchrl.people.study.plan import Address, Study
+from bbq_torchrl.people.study.storage import ForgottenError, Store
 from bbq_torchrl.utils.text import MAX_CHARACTERS, shown
-
-if TYPE_CHECKING:
-    from collections.abc import Mapping
-
-    from starlette.middleware.base import RequestResponseEndpoint
-    from starlette.requests import Request
-
-    from bbq_torchrl.people.dialogue import Talker
-    from bbq_torchrl.people.study.database import Session
-    from bbq_torchrl.people.study.plan import Study
-    from bbq_torchrl.people.study.storage import Store
 
 JOIN, RESEARCHER = "join", "researcher"
 """The purposes of the keys in the two links that :meth:`Store.key` makes."""
