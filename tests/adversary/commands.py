@@ -8,19 +8,7 @@ from pathlib import Path
 
 import forked
 
-from bbq_torchrl.utils import interruption
-
-PROGRAMS = {
-    "train": "train",
-    "evaluate": "bbq_torchrl.cli.evaluate",
-    "search": "bbq_torchrl.search",
-    "domains": "bbq_torchrl.cli.calibrate",
-    "report": "bbq_torchrl.evaluation.compare_runs",
-    "bench": "bbq_torchrl.cli.bench",
-    "chat": "bbq_torchrl.people.chat.__main__",
-    "study": "bbq_torchrl.people.study.__main__",
-}
-"""Command -> the module of its main function."""
+from bbq_torchrl.cli import console
 
 
 @dataclass
@@ -50,7 +38,7 @@ class Ended:
 
 
 class Command:
-    """A process that runs one of :data:`PROGRAMS`."""
+    """A process that runs a command."""
 
     def __init__(self, pid, files):
         self.pid = pid
@@ -94,21 +82,16 @@ class Commands:
     def __init__(self, folder):
         self.folder = folder
         self._count = 0
-        for name in PROGRAMS.values():
-            importlib.import_module(name)  # once, not in every child
+        for name in ("train", "evaluate", "search"):
+            importlib.import_module(console.COMMANDS[name][0])  # once, not in every child
 
     def start(self, program, *arguments):
-        """Starts one of :data:`PROGRAMS`."""
+        """Starts ``bbq <program> <arguments>``."""
         self._count += 1
         out, err = (self.folder / f"{kind}-{self._count}" for kind in ("out", "err"))
-        main = importlib.import_module(PROGRAMS[program]).main
-
-        def listening():
-            interruption.listen()
-            return main()
-
         with out.open("w") as first, err.open("w") as second:
-            pid = forked.start(listening, arguments, self.folder, first, second)
+            given = (program, *arguments)
+            pid = forked.start(console.main, given, self.folder, first, second)
         return Command(pid, (out, err))
 
     def run(self, program, *arguments, code=0):

@@ -36,7 +36,7 @@ def test_a_run_that_is_interrupted_says_how_it_goes_on(
                 assert ended.line.endswith(f": python train.py resume={folder} continues it")
                 commands.run("train", f"resume={folder}")
             else:
-                assert ended.line == "interrupted while starting: the same command starts again"
+                assert ended.line == "interrupted in bbq train: the same command starts again"
                 commands.run("train", *new)
         assert_same(folder, reference.folder)
         record_property(SIGNALS, 1)
@@ -66,15 +66,21 @@ def test_an_evaluation_ends_in_a_line_too(commands):
     assert ended.line == "interrupted in an evaluation: the same command starts again"
 
 
+def begun(folder, launcher, at_once):
+    """A sweep whose first jobs have begun."""
+    keys = (*TINY, "protocol.rounds=4000", "protocol.eval_every=0", "hydra.sweep.dir=sweep")
+    started = process("--multirun", "agent=dqn,bbqn", "seed=0,1", launcher, *keys, cwd=folder)
+    wait_until(started, lambda: len(list((folder / "sweep").glob("*/metrics.csv"))) == at_once)
+    return started
+
+
+LAUNCHERS = [("hydra.launcher.n_jobs=2", 2), ("hydra/launcher=basic", 1)]
+
+
 @pytest.mark.parametrize("number", NUMBERS)
-@pytest.mark.parametrize(
-    ("launcher", "at_once"), [("hydra.launcher.n_jobs=2", 2), ("hydra/launcher=basic", 1)]
-)
+@pytest.mark.parametrize(("launcher", "at_once"), LAUNCHERS)
 def test_the_jobs_of_a_sweep_end_in_good_order(tmp_path, number, launcher, at_once):
-    keys = (*TINY, "protocol.rounds=400", "protocol.eval_every=0")
-    sweep = ("--multirun", "agent=dqn,bbqn", "seed=0,1", launcher)
-    started = process(*sweep, *keys, "hydra.sweep.dir=sweep", cwd=tmp_path)
-    wait_until(started, lambda: len(list((tmp_path / "sweep").glob("*/metrics.csv"))) == at_once)
+    started = begun(tmp_path, launcher, at_once)
     if number == signal.SIGINT:
         os.killpg(started.pid, number)  # as a terminal does
     else:
@@ -93,10 +99,7 @@ def test_the_jobs_of_a_sweep_end_in_good_order(tmp_path, number, launcher, at_on
 
 
 def test_the_jobs_of_a_sweep_end_with_a_command_that_is_killed(tmp_path):
-    keys = (*TINY, "protocol.rounds=4000", "protocol.eval_every=0")
-    sweep = ("--multirun", "agent=dqn", "seed=0,1", "hydra.launcher.n_jobs=2")
-    started = process(*sweep, *keys, "hydra.sweep.dir=sweep", cwd=tmp_path)
-    wait_until(started, lambda: len(list((tmp_path / "sweep").glob("*/metrics.csv"))) == 2)
+    started = begun(tmp_path, *LAUNCHERS[0])
 
     started.kill()
     started.communicate()  # until no process can write any more, including the jobs
