@@ -122,8 +122,10 @@ def test_the_researcher_learns_who_has_finished(recruiting, tmp_path, capsys):
     site = recruiting
     finish(site, join(site, f"PROLIFIC_PID={ID}&STUDY_ID=s1").url.path)
     join(site, "PROLIFIC_PID=another")
-    forgotten = site.session(join(site, "PROLIFIC_PID=forgotten").url.path).person
+    forgotten = site.session(join(site, "PROLIFIC_PID=unwanted").url.path).person
     forget(site.study.data, forgotten)
+    for file in tmp_path.glob("study.sqlite*"):
+        assert b"unwanted" not in file.read_bytes()
     command = ["participants", str(site.study.path)]
     assert main(command) == 0
     file = tmp_path / "study-participants.csv"
@@ -134,14 +136,3 @@ def test_the_researcher_learns_who_has_finished(recruiting, tmp_path, capsys):
     assert [one[key] for key in shown] == ["1", name, ID, "s1", "2", "1"]
     assert [other[key] for key in shown][2:] == ["another", "", "0", "0"]
     assert re.fullmatch(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", one["joined"])
-
-
-def test_of_a_forgotten_person_no_id_is_left_and_they_may_come_again(recruiting):
-    site = recruiting
-    link = join(site, f"PROLIFIC_PID={ID}").url.path
-    forget(site.study.data, link)
-    for file in site.study.data.parent.glob("study.sqlite*"):
-        assert ID.encode() not in file.read_bytes()
-    assert site.client.get(link).status_code == 404
-    again = join(site, f"PROLIFIC_PID={ID}").url.path
-    assert site.session(again).person == "2"
