@@ -69,25 +69,16 @@ def test_langevin_steps_are_those_of_the_paper():
     assert torch.allclose(weight, expected)
 
 
-def test_langevin_noise_has_the_temperature_and_leaves_inactive_replicas_alone():
+def test_langevin_noise_has_the_temperature():
     from bbq_extending.langevin_adam import LangevinAdam
 
-    def after(active, seed=0):
-        torch.manual_seed(seed)
-        weight = nn.Parameter(torch.zeros(3, 20_000))
-        beta = torch.tensor([1e2, 1e2, 1e4])
-        optimizer = LangevinAdam([weight], 3, lr=1.0, inverse_temperature=beta)
-        optimizer.scale_lr(0.5)
-        for _ in range(2):
-            weight.grad = torch.zeros_like(weight)
-            optimizer.step(active)
-        return weight.detach()
-
-    everyone, some = after(None), after((True, False, True))
-    # two steps of variance 2 · lr / beta
-    assert everyone.std(1).tolist() == pytest.approx([0.02**0.5, 0.02**0.5, 0.0002**0.5], rel=0.03)
-    assert not some[1].any()
-    assert torch.equal(some[[0, 2]], everyone[[0, 2]])
+    weight = nn.Parameter(torch.zeros(2, 20_000))
+    beta = torch.tensor([1e2, 1e4])
+    optimizer = LangevinAdam([weight], 2, lr=1.0, inverse_temperature=beta)
+    optimizer.scale_lr(0.5)
+    (0 * weight).sum().backward()
+    optimizer.step()
+    assert weight.std(1).tolist() == pytest.approx([0.01**0.5, 0.0001**0.5], rel=0.03)
 
 
 @pytest.fixture
@@ -120,10 +111,6 @@ def test_an_epinet_changes_values_by_the_index_and_leaves_the_base_network_alone
         once, twice = (epinet(x, factor * index) - base for factor in (1, 2))
     torch.testing.assert_close(twice, 2 * once)
     assert once.abs().max() > 0.1
-    second = torch.eye(FEATURES)[1]
-    with torch.no_grad():
-        epinet.reset_inactive_(second.bool(), torch.zeros(epinet.out_features).bool())
-    torch.testing.assert_close(epinet(x + 7 * second, index), epinet(x, index), rtol=0, atol=0)
 
 
 def test_an_index_is_kept_until_the_episode_ends_and_is_none_without_exploration(
