@@ -12,6 +12,8 @@ from bbq_torchrl.domains import load_domain
 from bbq_torchrl.envs import DialogueEnv, scripted_policy
 from bbq_torchrl.options import EvaluateConfig
 from bbq_torchrl.options.registry import conf_folder
+from bbq_torchrl.people.language.corpus import make_examples
+from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.runs.compose import compose
 from bbq_torchrl.runs.train import main as train
 from bbq_torchrl.search.definition import compose_search
@@ -144,7 +146,9 @@ def test_the_whole_domain_is_loaded_and_played(tmp_path):
         ("values.json", "json", '{"food"'),
     ):
         (tmp_path / name).write_text(printed(DOMAIN, language, start))
-    env = DialogueEnv(load_domain(tmp_path), batch_size=(50,), seed=0)
+    domain = load_domain(tmp_path)
+    assert len(make_examples(Lexicon(domain), 100, seed=0)) == 100  # to learn what is said
+    env = DialogueEnv(domain, batch_size=(50,), seed=0)
     for policy in ("rule", "careful"):
         rollout = env.rollout(20, scripted_policy(policy, env), break_when_any_done=False)
         assert rollout["next", "success"].any()

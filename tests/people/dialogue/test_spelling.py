@@ -8,6 +8,7 @@ from types import SimpleNamespace
 import pytest
 from chat.test_chat_command import play
 from study.test_players import Letters
+from tables import pairs, rows
 
 from bbq_torchrl.domains import Goal, build_vocabulary
 from bbq_torchrl.people.language import Frame
@@ -58,6 +59,8 @@ def test_a_wish_in_either_spelling_is_looked_up_offered_and_judged(
     lines = [f"request(theater) inform({wishes})", "request(ticket)", "thanks"]
     success, shown = play(partner, goal, lines)
     assert success is True, shown
+    assert "find out: theater" in shown
+    assert "Success: you have got what your goal card says." in shown
 
 
 def test_a_simulated_user_takes_an_offer_in_another_spelling(movie, spelling, monkeypatch):
@@ -75,23 +78,10 @@ def test_a_simulated_user_takes_an_offer_in_another_spelling(movie, spelling, mo
             assert (Frame.parse(user.say(told)).act == "deny") == (offered is wrong)
 
 
-@pytest.mark.parametrize(
-    ("text", "heard", "told", "meant"),
-    [
-        ("11:35", {"starttime": "11:35 pm"}, {}, {"starttime": "11:35am"}),  # no record at night
-        ("10:05", {"starttime": "10:05 pm"}, {"starttime": "10:05am"}, {"starttime": "10:05am"}),
-        ("10:05", {"starttime": "10:05 pm"}, {"starttime": "10:05 pm"}, {"starttime": "10:05 pm"}),
-        ("10:05 pm", {"starttime": "10:05 pm"}, {}, {"starttime": "10:05 pm"}),
-        ("22:05", {"starttime": "10:05 pm"}, {}, {"starttime": "10:05 pm"}),
-        ("tonight, 10:05", {"starttime": "10:05 pm"}, {}, {"starttime": "10:05 pm"}),
-        ("the morning show at 10:05", {"starttime": "10:05 pm"}, {}, {"starttime": "10:05am"}),
-        ("half past seven", {"starttime": "7:30 pm"}, {}, {"starttime": "7:30 pm"}),
-        ("sunday morning", {"date": "sunday morning"}, {}, {"date": "sunday"}),
-        ("saturday night", {"date": "saturday night"}, {}, {"date": "saturday night"}),
-    ],
-)
+@pytest.mark.parametrize(("text", "heard", "told", "meant"), rows(__file__, "times.txt"))
 def test_a_time_or_day_is_the_one_that_records_have(spelling, text, heard, told, meant):
-    assert spelling.understood(text, heard, told) == (spelling.of(meant), ())
+    found = spelling.understood(text, pairs(heard), pairs(told))
+    assert found == (spelling.of(pairs(meant)), ())
 
 
 @pytest.mark.parametrize("text", ["10:05", "five past ten"])

@@ -1,25 +1,14 @@
 """Readings become frames: counts, denials, unknown names, no preference, foreign sentences."""
 
-from pathlib import Path
-
 import pytest
 from readings import read
+from tables import pairs, rows
 
 from bbq_torchrl.people.language import Frame, Unclear
 from bbq_torchrl.people.language.assembly import is_denied
 from bbq_torchrl.people.language.words import tokenize
 
 ASKED = Frame("request", {}, ("date",))
-
-
-def rows(name):
-    """Returns the columns of a table beside this file."""
-    lines = Path(__file__).with_name(name).read_text("utf-8").splitlines()
-    return [[part.strip() for part in line.split("|")] for line in lines if line[:1] not in "#"]
-
-
-def pairs(text):
-    return dict(pair.split("=") for pair in text.split(", ") if pair)
 
 
 def doubt(text):
@@ -29,7 +18,7 @@ def doubt(text):
     return Unclear(slot, words, candidates, is_denied=meant == "denied")
 
 
-@pytest.mark.parametrize("row", rows("readings.txt"), ids=lambda row: row[0])
+@pytest.mark.parametrize("row", rows(__file__, "readings.txt"), ids=lambda row: row[0])
 def test_a_reading_becomes_the_likeliest_frame(lexicon, row):
     text, act, tagged, asked, question, meant, *doubted = row
     chances = {slot: float(chance) for slot, chance in pairs(asked).items()}
@@ -40,7 +29,7 @@ def test_a_reading_becomes_the_likeliest_frame(lexicon, row):
     assert (str(frame), unclear) == (meant, tuple(map(doubt, doubted)))
 
 
-@pytest.mark.parametrize(("denied", "text"), rows("denials.txt"))
+@pytest.mark.parametrize(("denied", "text"), rows(__file__, "denials.txt"))
 @pytest.mark.parametrize("is_tagged", [True, False])
 def test_a_denied_value_is_reported_and_not_informed(lexicon, denied, text, is_tagged):
     words = tokenize(text)

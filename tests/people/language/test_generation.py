@@ -1,9 +1,11 @@
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
+import yaml
 
-from bbq_torchrl.domains import Goal, movie_domain
+from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.people.language import (
     ANY,
     Frame,
@@ -14,8 +16,8 @@ from bbq_torchrl.people.language import (
     load_phrases,
 )
 from bbq_torchrl.people.language.corpus import make_examples, play
-from bbq_torchrl.people.language.lexicon import Lexicon
 
+UNFIT = yaml.safe_load(Path(__file__).with_name("phrases.yaml").read_text("utf-8"))
 SPOILT = re.compile(r"[{}<>\[\]|]|[a-z]_[a-z]|moviename|starttime|numberof|taskcomplete|mc_list")
 
 
@@ -24,8 +26,14 @@ def speak():
     return Generator(movie_domain())
 
 
-def _check(dialogues, kept, speak, variants, every=1):
-    """Speaks one turn of every act with other slots, of either side."""
+@pytest.mark.parametrize(
+    ("dialogues", "kept", "variants", "every"),
+    [(20, 100, 40, 26), pytest.param(10_000, 500, 60, 1, marks=pytest.mark.slow)],
+)
+def test_every_act_of_dialogues_has_enough_sentences_without_placeholders(
+    speak, dialogues, kept, variants, every
+):
+    """Of acts with the same slots one turn is spoken, by either side."""
     turns = play(movie_domain(), dialogues, kept=kept)
     acts = {
         tuple((f.act, *f.informs, *f.requests) if f else () for f in turn): turn for turn in turns
@@ -40,15 +48,6 @@ def _check(dialogues, kept, speak, variants, every=1):
         for sentence in said:
             assert sentence.strip(" .?!"), user
             assert not SPOILT.search(sentence), sentence
-
-
-def test_what_is_said_in_dialogues_has_enough_sentences_without_placeholders(speak):
-    _check(20, 100, speak, 40, every=26)
-
-
-@pytest.mark.slow
-def test_every_act_of_ten_thousand_dialogues_has_a_sentence(speak):
-    _check(10_000, 500, speak, 60)
 
 
 def test_equal_sessions_say_equal_things_and_others_differ(speak):
@@ -102,25 +101,6 @@ def test_no_sentence_of_the_grammar_tells_what_it_asks_for(lexicon):
         assert set(example.frame.requests).isdisjoint(example.frame.informs), example
 
 
-@pytest.mark.parametrize("n_slots", [1, 2])
-def test_a_domain_of_few_slots_has_sentences(restaurant, n_slots):
-    few = ("cuisine", "area")[:n_slots]
-    slots = (*few, "table", "booking")
-    domain = replace(
-        restaurant,
-        slots=slots,
-        actions=tuple(a for a in restaurant.actions if a.slot is None or a.slot in slots),
-        essential=slots,
-        extension_order=(),
-        free_slots=("table", "booking"),
-        policies={},
-        records=({"cuisine": "thai"}, {"cuisine": "french"}),
-        goals=(Goal({"cuisine": "thai"}),),
-        error_values=dict.fromkeys(few, ("thai", "north")),
-    )
-    assert len(make_examples(Lexicon(domain), 1_000, seed=0)) == 1_000
-
-
 def test_an_opening_of_which_each_phrase_needs_a_value_is_said_where_there_is_one(tmp_path):
     (tmp_path / "language.yaml").write_text('user: {open: ["find me {city}"]}')
     speak = Generator(replace(movie_domain(), folder=tmp_path))
@@ -137,29 +117,10 @@ def test_what_was_without_a_match_is_corrected_by_that(speak):
     assert any("not that" in sentence for sentence in said)
 
 
-@pytest.mark.parametrize(
-    ("content", "key"),
-    [
-        ("slots: {moviname: {}}", "moviname"),
-        ('slots: {city: {say: ["in {town}"]}}', "slots.city.say"),
-        ('user: {open: ["<wnat> it"]}', "user.open"),
-        ('slots: {city: {say: ["in [{}"]}}', "slots.city.say"),
-        ('rules: {please: ["<filler> x", "y"], filler: ["<please>"]}', "please -> filler"),
-        ('rules: {please: ["<please> x", "y"]}', "please -> please"),
-        ("slots: {city: {say: 7}}", "slots.city.say"),
-        ('slots: {city: {any: ["any of {theater}"]}}', "slots.city.any"),
-        ('agent: {deny: ["<sorry>"]}\nrules: {sorry: ["not {city}"]}', "agent.deny"),
-        ("slots: {city: {kind: number}}", "slots.city.kind"),
-        ("slots: {city: {capitals: yes}}", "slots.city.capitals"),
-        ("slots: [a]", "slots"),
-        ("a: [", "YAML"),
-        ("slots: {}\nslots: {}", "once"),
-        ("\x00", "YAML"),
-    ],
-)
-def test_phrases_that_do_not_fit_are_refused_by_their_key(tmp_path, content, key):
-    (tmp_path / "language.yaml").write_text(content)
-    with pytest.raises(PhrasesError, match=re.escape(key)):
+@pytest.mark.parametrize("row", [*UNFIT, {"key": "YAML", "content": "\0"}])
+def test_phrases_that_do_not_fit_are_refused_by_their_key(tmp_path, row):
+    (tmp_path / "language.yaml").write_text(row["content"])
+    with pytest.raises(PhrasesError, match=re.escape(row["key"])):
         load_phrases(replace(movie_domain(), folder=tmp_path))
 
 

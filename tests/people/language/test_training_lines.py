@@ -3,6 +3,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from tables import rows
 
 from bbq_torchrl.domains import movie_domain
 from bbq_torchrl.people.language import Frame, Understander, read_lines
@@ -32,30 +33,14 @@ def test_the_sentences_that_measure_are_labeled_with_values_of_the_domain(lexico
                 assert value == "I do not care" or value in lexicon.values(slot)
 
 
-@pytest.mark.parametrize(
-    ("text", "meaning", "tags"),
-    [
-        (
-            "two for top gun, half past seven",
-            "inform(numberofpeople=2, moviename=top gun: maverick, starttime=7:30 pm)",
-            ["numberofpeople", "-", *["moviename"] * 2, "-", *["starttime"] * 3],
-        ),
-        (  # a name in full, not a part of it
-            "dune part two, late night",
-            "inform(moviename=dune: part two, starttime=late night)",
-            [*["moviename"] * 3, "-", *["starttime"] * 2],
-        ),
-        # of a slot without values
-        ("anything of that series", "inform(movie_series=harry potter)", ["-"] * 4),
-    ],
-)
+@pytest.mark.parametrize(("text", "meaning", "tags"), rows(__file__, "lines.txt"))
 def test_own_lines_become_examples_with_the_place_of_each_value(
     lexicon, tmp_path, text, meaning, tags
 ):
     path = tmp_path / "own.txt"
     path.write_text(f"# mine\n | {text} | {meaning}\n")
     (example,) = as_examples(read_lines(path, movie_domain()), lexicon)
-    assert example.tags == tags
+    assert " ".join(example.tags) == tags
 
 
 def test_what_chance_alone_gives_a_calibration_error_is_told():
@@ -158,16 +143,6 @@ def test_lines_that_cannot_be_read_are_all_named(tmp_path):
     assert [fault.split(":")[0][:6] for fault in caught.value.faults] == [
         f"line {number}" for number in (1, 2, 3, 4)
     ]
-
-
-@pytest.mark.parametrize(
-    "text",
-    ["thanks", "inform(city=reno) request(date)", "thanks request(theater, date)",
-     "inform(moviename=mission: impossible - dead reckoning, city=st louis)",
-     "multiple_choice(date=saturday, date=sunday)"],
-)  # fmt: skip
-def test_a_frame_is_written_as_it_is_read(text):
-    assert str(Frame.parse(text, movie_domain())) == text
 
 
 @pytest.mark.parametrize("text", ["", "(", "inform(city)", "request(city=reno)", "inform(a=1", "!"])

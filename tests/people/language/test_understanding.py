@@ -27,11 +27,6 @@ def test_an_answer_is_read_in_the_light_of_the_question(understand, answer):
     assert understand(answer.text, answer.question).frame == answer.frame
 
 
-def test_an_answer_and_a_question_after_it_are_both_heard(understand):
-    frame = understand("reno. what time does it start?", Frame("request", {}, ("city",))).frame
-    assert (frame.informs, frame.requests) == ({"city": "reno"}, ("starttime",))
-
-
 @pytest.mark.parametrize(
     ("slot", "text", "candidates"),
     [
@@ -53,23 +48,6 @@ def test_what_the_domain_does_not_have_is_not_invented(understand, text):
     for slot in ("numberofpeople", "starttime", "date", "moviename"):
         heard = understand(text, Frame("request", {}, (slot,)))
         assert not heard.frame.informs or understand.asks(heard)
-
-
-@pytest.mark.parametrize("title", ["barbie", "oppenheimer", "the holdovers", "wonka"])
-@pytest.mark.parametrize(
-    "text",
-    ["2 tickets for {} please", "two tickets for {}", "3 seats for {} please", "tickets for {}"],
-)
-def test_a_short_opening_is_in_scope(understand, text, title):
-    frame = understand(text.format(title)).frame
-    assert (frame.act, frame.informs.get("moviename")) == ("request", title)
-    assert ("numberofpeople" in frame.informs) != text.startswith("tickets")
-
-
-def test_a_remark_about_something_else_does_not_hide_a_question(understand):
-    frame = understand("which theater is it at? my dishwasher is leaking").frame
-    assert frame == Frame("request", {}, ("theater",))
-    assert understand.asks(understand("my dishwasher is leaking"))
 
 
 def test_what_the_domain_cannot_mean_is_seldom_acted_on(understand):
