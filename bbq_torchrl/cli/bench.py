@@ -14,6 +14,7 @@ import sys
 from argparse import Namespace
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -91,8 +92,11 @@ def main(arguments: Sequence[str] | None = None) -> int:
     if given.config_dir is not None:
         load_folder(given.config_dir)
     agents, domains = _agents(given.agents), _domains(given.domains)
-    for overrides in (given.set, *agents.values()):
-        _refuse_set(overrides)
+    for item in chain(given.set, *agents.values()):
+        if {key_of(item), key_of(item).partition(".")[0]} & set(_SET):
+            raise ConfigError(
+                f"{sentence(item)} cannot be given to a bench, which sets {', '.join(_SET)} itself"
+            )
     given.budgets = sorted(set(given.budgets))
     cells = [
         cell
@@ -186,14 +190,6 @@ def _agents(given: Sequence[str]) -> dict[str, list[str]]:
             raise ConfigError(f"--agents must have distinct names, got {name} twice")
         agents[name] = overrides
     return agents
-
-
-def _refuse_set(overrides: Sequence[str]) -> None:
-    for item in overrides:
-        if {key_of(item), key_of(item).partition(".")[0]} & set(_SET):
-            raise ConfigError(
-                f"{sentence(item)} cannot be given to a bench, which sets {', '.join(_SET)} itself"
-            )
 
 
 def _domains(given: Sequence[str]) -> dict[str, list[str]]:

@@ -303,7 +303,10 @@ class DialogueEnv(EnvBase):
         **_: Any,
     ) -> TensorDict:
         if resume:
-            return self._resumed()
+            if bool(self.dialogues["done"].any()):
+                text = "resume=True needs dialogues in progress, got some that have ended"
+                raise ValueError(text)
+            return self._emit(self.dialogues)
         goals = len(self.domain.goals)
         if goal_id is not None and (isinstance(goal_id, bool) or goal_id not in range(goals)):
             raise ValueError(f"goal_id must be an integer from 0 to {goals - 1}, got {goal_id!r}")
@@ -320,17 +323,11 @@ class DialogueEnv(EnvBase):
         if which is not None and self._dialogues is not None:
             started = started.where(which.view(self.batch_size), self._dialogues)
         self._dialogues = started
-        return self._emit(started, self.simulator.observe(started, self.active_slots))
+        return self._emit(started)
 
     def _draw_seed(self) -> int:
         generator = self._generator
         return int(torch.randint(1 << 62, (), generator=generator, device=generator.device))
-
-    def _resumed(self) -> TensorDict:
-        dialogues = self.dialogues
-        if bool(dialogues["done"].any()):
-            raise ValueError("resume=True needs dialogues in progress, got some that have ended")
-        return self._emit(dialogues, self.simulator.observe(dialogues, self.active_slots))
 
     def _step(self, tensordict: TensorDictBase) -> TensorDict:
         before, count = self.dialogues, len(self.domain.actions)
@@ -344,16 +341,14 @@ class DialogueEnv(EnvBase):
                 reward = torch.where(is_played, after["reward"], 0.0)
                 after = after.where(is_played, before).set("reward", reward)
         self._dialogues = after
-        emitted = self._emit(after, self.simulator.observe(after, self.active_slots))
-        emitted["reward"] = self._dialogues["reward"][..., None].clone()
-        return emitted
+        return self._emit(after).set("reward", after["reward"][..., None].clone())
 
-    def _emit(self, state: TensorDict, observation: torch.Tensor) -> TensorDict:
+    def _emit(self, state: TensorDict) -> TensorDict:
         """Returns the observation of the dialogues, without sharing memory with their state."""
         done = state["done"][..., None]
         return TensorDict(
             {
-                "observation": observation,
+                "observation": self.simulator.observe(state, self.active_slots),
                 "action_mask": self._action_mask.clone(),
                 "success": state["success"][..., None].clone(),
                 # The simulator counts the acts of both sides.

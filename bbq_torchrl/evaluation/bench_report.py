@@ -116,13 +116,21 @@ def bench_report(
     if whole:
         last = budgets[-1]
         scores = {
-            name: {agent: _scores(cells, agent, whole, column) for agent in agents}
+            name: {
+                agent: np.array([[row[column] for row in cells[agent, one]] for one in whole])
+                for agent in agents
+            }  # [settings, seeds]
             for name, column in (
                 ("final success", f"success after {last}"),
                 (f"booked after {last:,}", f"booked after {last}"),
             )
         }
-        parts += [_over_table(scores), _pairs_table(scores), OVER_NOTE]
+        means = [
+            {"agent": agent}
+            | {f"IQM of {name}": estimate_iqm(of[agent]) for name, of in scores.items()}
+            for agent in agents
+        ]
+        parts += [Table("over", means), _pairs_table(scores), OVER_NOTE]
         profiles = {name: {a: _profile(s) for a, s in of.items()} for name, of in scores.items()}
         title = f"Share of seeds above a score, {len(whole)} setting{'s' * (len(whole) != 1)}"
         draw = partial(draw_bands, profiles, title=title, xlabel="score")
@@ -130,23 +138,18 @@ def bench_report(
     else:
         parts.append("No setting is finished by all agents.")
     parts.append("## Each setting")
+    curves = {}
     for one in settings:
-        found = {agent: cells[agent, one] for agent in agents if (agent, one) in cells}
-        if found:
-            parts += [f"### {setting_name(one)}", str(_setting_table(found, budgets))]
-            parts.append(_scripts(about["scripts"].get(setting_name(one), {})))
+        name = setting_name(one)
+        if found := {agent: cells[agent, one] for agent in agents if (agent, one) in cells}:
+            rates = about["scripts"].get(name, {})
+            scripts = ", ".join(f"{script} {rate:.3f}" for script, rate in rates.items())
+            parts += [f"### {name}", str(_setting_table(found, budgets)), f"Scripts: {scripts}."]
+            curves[name] = {agent: _curve(of, budgets) for agent, of in found.items()}
     parts.append(NOTE)
-    curves = {
-        setting_name(one): {
-            agent: _curve(cells[agent, one], budgets) for agent in agents if (agent, one) in cells
-        }
-        for one in settings
-    }
     title = "Share of training dialogues booked, by budget"
-    draw = partial(
-        draw_bands, {name: of for name, of in curves.items() if of}, title=title, xlabel="dialogues"
-    )
     if rows:
+        draw = partial(draw_bands, curves, title=title, xlabel="dialogues")
         figures["booked"] = (title, draw)
     parts.append(f"```bash\n{about['command']}\n```")
     data = [Table("bench", rows, words=3)]
@@ -157,25 +160,6 @@ def bench_report(
 def setting_name(setting: Setting) -> str:
     """Returns the name of a setting, such as ``movie, errors 0``."""
     return f"{setting[0]}, errors {setting[1]}"
-
-
-def _scores(
-    cells: Mapping[tuple[str, Setting], list[Row]],
-    agent: str,
-    settings: Sequence[Setting],
-    column: str,
-) -> Any:
-    """Returns a column of an agent, shape [settings, seeds]."""
-    return np.array([[row[column] for row in cells[agent, one]] for one in settings])
-
-
-def _over_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
-    rows: list[Row] = [
-        {"agent": agent}
-        | {f"IQM of {name}": estimate_iqm(of[agent]) for name, of in scores.items()}
-        for agent in next(iter(scores.values()))
-    ]
-    return Table("over", rows)
 
 
 def _pairs_table(scores: Mapping[str, Mapping[str, Any]]) -> Table:
@@ -221,7 +205,3 @@ def _setting_table(found: Mapping[str, Sequence[Row]], budgets: Sequence[int]) -
         row |= {k: EMPTY if math.isnan(sum(of)) else estimate(of) for k, of in passed.items()}
         table.append(row)
     return Table("setting", table)
-
-
-def _scripts(rates: Mapping[str, float]) -> str:
-    return "Scripts: " + ", ".join(f"{name} {rate:.3f}" for name, rate in rates.items()) + "."

@@ -117,8 +117,10 @@ class GPLoss(OneStepQLoss):
             "terminated": after[self.tensor_keys.terminated],
             **({} if legal is None else {"legal": legal}),
         }
-        rows = TensorDict({name: self._rows_of(column) for name, column in columns.items()})
-        rows.auto_batch_size_(2)
+        # [*replicas, *batch, n] as [L, B, n]
+        rows = TensorDict(
+            {name: of.reshape(lead, -1, of.shape[-1]) for name, of in columns.items()}
+        ).auto_batch_size_(2)
         gammas = self.value_estimator.gamma.expand(self.replicas).reshape(lead)
         out = []
         with torch.autocast(reward.device.type, enabled=False):
@@ -128,10 +130,6 @@ class GPLoss(OneStepQLoss):
                 out.append(self._fit(replica, own, gamma))
         means = torch.stack(out, -1).view(3, *self.replicas)
         return TensorDict(dict(zip(("loss_value", "td_error", "q_value"), means, strict=True)))
-
-    def _rows_of(self, entry: Tensor) -> Tensor:
-        """Returns [*replicas, *batch, n] as [L, B, n]."""
-        return entry.reshape(self.replicas.numel(), -1, entry.shape[-1])
 
     def _fit(self, replica: int, rows: TensorDictBase, gamma: Tensor) -> Tensor:
         """Fits a replica to its transitions [N]; returns the means of :meth:`fit`, [3]."""

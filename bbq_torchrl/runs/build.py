@@ -79,17 +79,11 @@ def check_resources(config: Config) -> None:
             f"spike.policy must be one of {', '.join(policies)} or null, got {shown(spike.policy)}"
         )
     config.env.check_domain(domain)
-    if config.resume is not None:
-        _check_checkpoint(Path(config.resume), config)
-
-
-def _check_checkpoint(folder: Path, config: Config) -> None:
-    """Refuses to resume a run without a usable checkpoint, before its configuration changes."""
-    if finished_result(folder, config.protocol.rounds) is not None:
-        return  # only the curve may be missing
-    found = CheckpointFolder(folder / CHECKPOINTS).newest(config_fingerprint(config), "replay")
-    if not found and any((folder / name).exists() for name in (METRICS, RESULT)):
-        raise CheckpointDamagedError.gone(folder)
+    folder = None if config.resume is None else Path(config.resume)
+    if folder is not None and finished_result(folder, config.protocol.rounds) is None:
+        found = CheckpointFolder(folder / CHECKPOINTS).newest(config_fingerprint(config), "replay")
+        if not found and any((folder / name).exists() for name in (METRICS, RESULT)):
+            raise CheckpointDamagedError.gone(folder)
 
 
 def check_device(device: str) -> None:

@@ -102,7 +102,11 @@ def final_result(
         seed=config.seed,
         rounds=protocol.rounds,
         wall_seconds=trained + time.perf_counter() - started,
-        versions=_versions(),
+        versions={
+            "bbq-torchrl": bbq_torchrl.__version__,
+            "python": platform.python_version(),
+            **{name: version(name) for name in ("torch", "torchrl", "tensordict")},
+        },
         commit=code.commit,
         clean=code.clean,
         diverged=tuple(sorted(trainer.learner.diverged)),
@@ -179,15 +183,6 @@ def _played(
     config: Config, env: EnvBase, policy: TensorDictModuleBase, dialogues: int
 ) -> EpisodeStats:
     return evaluate(env, policy, dialogues, seed=config.seed, max_steps=config.env.steps())
-
-
-def _versions() -> dict[str, str]:
-    packages = ("torch", "torchrl", "tensordict")
-    return {
-        "bbq-torchrl": bbq_torchrl.__version__,
-        "python": platform.python_version(),
-        **{name: version(name) for name in packages},
-    }
 
 
 def log_result(config: Config, result: RunResult, logger: RunLogger) -> None:

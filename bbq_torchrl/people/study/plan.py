@@ -88,11 +88,10 @@ class Address:
         return path.rstrip("/") or "/"
 
 
-def _is_address(value: Any) -> bool:
-    return isinstance(value, str) and (value == "" or bool(_PATTERN.fullmatch(value)))
-
-
-ADDRESS = Allowed("an address such as https://lab.example/study/", _is_address)
+ADDRESS = Allowed(
+    "an address such as https://lab.example/study/",
+    lambda value: isinstance(value, str) and (value == "" or bool(_PATTERN.fullmatch(value))),
+)
 """The values of a study's ``url``."""
 
 
