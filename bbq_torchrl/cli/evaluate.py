@@ -66,22 +66,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return 0
     arguments = take_config_dir(arguments)
     config = composed(arguments)
-    line = evaluation(config)
-    _tell_result(run_folder(config.policy))
-    output.write(json.dumps(line) + "\n")
-    return 0
-
-
-def _tell_result(folder: Path) -> None:
-    """Prints why the result of a run differs."""
     from bbq_torchrl.evaluation.run_result import read_result
 
+    line = evaluation(config)
     with suppress(ValueError):  # a policy without a result, or a damaged one
-        said = read_result(folder)
+        said = read_result(run_folder(config.policy))
         output.print_error(
             f"{RESULT} has {said.success_rate:.4f} ± {said.standard_error:.4f}, from the "
             f"{said.dialogues} dialogues of seed {said.seed} at the end of training"
         )
+    output.write(json.dumps(line) + "\n")
+    return 0
 
 
 def composed(overrides: Sequence[str]) -> EvaluateConfig:

@@ -93,7 +93,13 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
         self._is_over = True
         self.action_space = Discrete(len(domain.actions))
         self._mask_in_observation = mask_in_observation
-        self.observation_space = _feature_space(self._dialogue)
+        # From 0 to 1 except for the numbers of acts and records. The last turn is at most two acts
+        # beyond max_turn, and the first state counts one act.
+        layout = self._dialogue.layout
+        high = np.ones(layout.size, dtype=np.float32)
+        high[layout["turn"]] = (2 * self._dialogue.max_agent_turns + 1) / TURN_SCALE
+        high[layout["kb_count"]] = len(domain.records) / COUNT_SCALE
+        self.observation_space = Box(np.zeros_like(high), high)
         if mask_in_observation:
             mask = Box(0, 1, (len(domain.actions),), dtype=np.bool_)  # type: ignore[arg-type]
             self.observation_space = Dict(observation=self.observation_space, action_mask=mask)
@@ -190,16 +196,6 @@ class GymnasiumDialogue(gymnasium.Env[Any, Any]):
             "goal_id": np.int64(int(step["goal_id"])),
             "action_mask": self.action_masks().astype(np.int8),
         }
-
-
-def _feature_space(env: DialogueEnv) -> Box:
-    """Returns the space of the features: [0, 1] except for the numbers of acts and records."""
-    layout = env.layout
-    high = np.ones(layout.size, dtype=np.float32)
-    # The last turn is at most two acts beyond max_turn, and the first state counts one act.
-    high[layout["turn"]] = (2 * env.max_agent_turns + 1) / TURN_SCALE
-    high[layout["kb_count"]] = len(env.domain.records) / COUNT_SCALE
-    return Box(np.zeros_like(high), high)
 
 
 if ENV_ID not in gymnasium.registry:

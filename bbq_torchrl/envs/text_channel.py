@@ -8,10 +8,12 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable, Mapping
+from functools import lru_cache
 from itertools import cycle
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import torch
 from tensordict import TensorDictBase
 from tensordict.nn import TensorDictModuleBase
@@ -81,7 +83,7 @@ class TextChannel:
         self._understand, self._speak, self._ask_below = understand, speak, ask_below
         self._act = domain.act
         self.coding = Coding(domain)
-        self._cache: dict[bytes, torch.Tensor] = {}
+        self._heard = lru_cache(maxsize=_CACHE_SIZE)(self._hear)
 
     def to(self, device: torch.device | str) -> TextChannel:
         """Returns itself: utterances are created on the device of the users' acts."""
@@ -103,10 +105,10 @@ class TextChannel:
             parts += [agent.act[..., None], agent.informs, agent.requests]
         words = index_below(draws["words"], VARIANTS)
         row = torch.cat([words[..., None], *parts], -1)
-        rows = row.reshape(-1, row.shape[-1]).int().cpu()  # value ids and variants fit into 32 bits
+        rows = row.reshape(-1, row.shape[-1]).int().cpu().numpy()  # all numbers fit into 32 bits
         found = torch.zeros(len(rows), 2 + 2 * n_slots, dtype=torch.long)
         for number in (~is_silent).flatten().nonzero().flatten().tolist():
-            found[number] = self._cached(rows[number], n_slots)
+            found[number] = self._heard(rows[number].tobytes())
         found = found.view(*shape, -1).to(said.act.device)
         repeats, act, informs, requests = found.split([1, 1, n_slots, n_slots], -1)
         act = act.squeeze(-1)
@@ -118,25 +120,17 @@ class TextChannel:
             repeats.squeeze(-1),
         )
 
-    def _cached(self, row: torch.Tensor, n_slots: int) -> torch.Tensor:
+    def _hear(self, row: bytes) -> torch.Tensor:
         """Returns the utterance heard, long ``[2 + 2 S]``: repeats, act, informs, requests."""
-        key = row.numpy().tobytes()
-        heard = self._cache.get(key)
-        if heard is None:
-            if len(self._cache) >= _CACHE_SIZE:
-                self._cache.clear()
-            words, *row_ = row.tolist()
-            width = 1 + 2 * n_slots
-            frame, *question = (
-                self.coding.frame(part[0], part[1 : 1 + n_slots], part[1 + n_slots :])
-                for part in (row_[at : at + width] for at in range(0, len(row_), width))
-            )
-            heard = self._hear(frame, question[0] if question else None, words)
-            self._cache[key] = heard
-        return heard
-
-    def _hear(self, frame: Frame, question: Frame | None, words: int) -> torch.Tensor:
         coding, key = self.coding, self._understand.lexicon.key
+        words, *numbers = np.frombuffer(row, dtype=np.int32).tolist()
+        n_slots = len(coding.slots)
+        width = 1 + 2 * n_slots
+        frame, *questions = (
+            coding.frame(part[0], part[1 : 1 + n_slots], part[1 + n_slots :])
+            for part in (numbers[at : at + width] for at in range(0, len(numbers), width))
+        )
+        question = questions[0] if questions else None
         asking, said = Asking(), frame
         while True:
             text = self._speak.user(said, question, session=words, turn=asking.times)

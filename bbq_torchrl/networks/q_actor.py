@@ -250,7 +250,10 @@ class ValueFunction:
             for (store, name), tensor in zip(self._slots, tensors, strict=True):
                 store[name] = tensor
             with weight_scope(mode, **scope) as active:
-                values = self._values(inputs)
+                if isinstance(inputs, TensorDictBase):
+                    values = self._network(inputs.copy()).get(self._value_key)
+                else:
+                    values = self._network.module(*inputs)
                 if active.kl is not None:
                     for posterior in self._posteriors:
                         posterior.add_kl(active.kl)
@@ -260,14 +263,6 @@ class ValueFunction:
                 store[name] = previous
             for dropout, was_training in zip(self._dropouts, training, strict=True):
                 dropout.training = was_training
-
-    def _values(self, inputs: Inputs) -> Tensor:
-        values: Tensor
-        if isinstance(inputs, TensorDictBase):
-            values = self._network(inputs.copy()).get(self._value_key)
-        else:
-            values = self._network.module(*inputs)
-        return values
 
 
 def _zero_rows(entry: Tensor, rows: Tensor) -> Tensor:

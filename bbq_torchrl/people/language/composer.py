@@ -119,7 +119,11 @@ class Composer:
             use = "accept" if frame.act == "thanks" and is_offer else frame.act
             options = self._phrases.user.get(use) or self._phrases.user["inform"]
             parts = [self._fill(options, turn, asked_slot(question))]
-        parts += self._rest(turn, is_first=not parts)
+        while turn.left:
+            slot = turn.left.pop()
+            use = "with" if turn.rng.random() < 0.6 else "say"
+            said = self._slot_phrase(slot, use, turn)
+            parts.append(said if parts else self._wrap("state", said, turn))
         parts += [self._fill(self._phrases.slots[s].phrases["any"], turn, s) for s in cares]
         parts += [self._wrap("also", asked, turn) for asked in self._questions(requests, turn)]
         return parts
@@ -211,34 +215,18 @@ class Composer:
             stated = [*stated, mark, *piece] if turn.rng.random() < 0.9 else [*piece, mark, *stated]
         return [self._wrap("state", stated, turn)]
 
-    def _rest(self, turn: _Turn, *, is_first: bool) -> list[list[Piece]]:
-        """Returns clauses for the remaining values."""
-        parts: list[list[Piece]] = []
-        while turn.left:
-            slot = turn.left.pop()
-            use = "with" if turn.rng.random() < 0.6 else "say"
-            said = self._slot_phrase(slot, use, turn)
-            if is_first and not parts:
-                said = self._wrap("state", said, turn)
-            parts.append(said)
-        return parts
-
     def _slot_phrase(self, slot: str, use: str, turn: _Turn) -> list[Piece]:
         if slot in turn.left:
             turn.left.remove(slot)
         own = {slot: turn.values[slot]}
+        nouns = self._phrases.slots[self._domain.ticket_slot].nouns
         for _ in range(_TRIES):
             said = self._fill(self._phrases.slots[slot].phrases[use], turn, slot, own)
-            if not self._books_by_chance(said, slot, turn):
+            words = {word for piece in said if piece.slot is None for word in piece.text.split()}
+            # "2 tickets" would also ask for the ticket.
+            if turn.is_booking or slot in turn.question.requests or words.isdisjoint(nouns):
                 break
         return said
-
-    def _books_by_chance(self, said: list[Piece], slot: str, turn: _Turn) -> bool:
-        """Returns whether the words for a value also ask for the ticket: "2 tickets"."""
-        if turn.is_booking or slot in turn.question.requests:
-            return False
-        words = {word for piece in said if piece.slot is None for word in piece.text.split()}
-        return not words.isdisjoint(self._phrases.slots[self._domain.ticket_slot].nouns)
 
     def _wrap(self, use: str, said: list[Piece], turn: _Turn) -> list[Piece]:
         """Returns a clause with the words around it, which a terse sentence leaves out."""
