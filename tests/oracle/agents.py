@@ -46,7 +46,7 @@ class StrayingAgent:
             told = [name for slot in sorted(slots) if (name := f"inform({slot})") in self.legal]
             if told and self.random.random() < (ANSWERS if ends else TELLS):
                 return self.random.choice(told)
-        if action == "thanks" and not dialogue.user.faults():
+        if action == "thanks" and dialogue.user.is_content():
             again = [f"request({slot})" for slot in dialogue.user.constraints]
             again = [name for name in again if name in self.legal]
             if again and not self.has_asked_again and self.random.random() < ASKS_AGAIN:
