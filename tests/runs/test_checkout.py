@@ -20,7 +20,6 @@ def package(tmp_path):
     folder = tmp_path / "project" / "package"
     folder.mkdir(parents=True)
     (folder / "__init__.py").touch()
-    (folder.parent / ".gitignore").write_text("runs/\nvenv/\n")
     git(folder.parent, "init")
     git(folder.parent, "add", ".")
     git(folder.parent, "commit", "-m", "begin")
@@ -29,9 +28,6 @@ def package(tmp_path):
 
 def test_a_checkout_has_a_commit_and_is_clean_until_something_changes(package):
     commit = git(package, "rev-parse", "HEAD")
-    assert checkout(package) == Checkout(commit, clean=True)
-    (package.parent / "runs").mkdir()
-    (package.parent / "runs" / "result.json").touch()  # ignored
     assert checkout(package) == Checkout(commit, clean=True)
     (package / "new.py").touch()  # untracked
     assert checkout(package) == Checkout(commit, clean=True)
@@ -46,24 +42,19 @@ def test_a_checkout_has_a_commit_and_is_clean_until_something_changes(package):
 
 def test_code_outside_a_checkout_of_its_own_has_no_commit(package, tmp_path):
     installed = package.parent / "venv" / "package"
-    new = tmp_path / "without a commit"
-    for folder in (installed, new):
-        folder.mkdir(parents=True)
-        (folder / "__init__.py").touch()
-    git(new, "init")
-    git(new, "add", ".")
-    assert [checkout(folder) for folder in (installed, new, tmp_path)] == [Checkout(None, None)] * 3
+    installed.mkdir(parents=True)
+    (installed / "__init__.py").touch()
+    assert checkout(installed) == checkout(tmp_path) == Checkout(None, None)
+    git(tmp_path, "init")  # without a commit
+    assert checkout(tmp_path) == Checkout(None, None)
 
 
-def test_nothing_fails_without_git(package, monkeypatch):
-    monkeypatch.setenv("PATH", "")
-    assert checkout(package) == Checkout(None, None)
-
-
-def test_the_repository_is_the_packages_own_whatever_the_environment_names(package, monkeypatch):
+def test_the_environment_changes_nothing_unless_git_is_missing(package, monkeypatch):
     found = checkout(package)
     monkeypatch.setenv("GIT_DIR", "/nowhere")
     assert checkout(package) == found
+    monkeypatch.setenv("PATH", "")
+    assert checkout(package) == Checkout(None, None)
 
 
 def test_a_result_has_the_commit(finished):

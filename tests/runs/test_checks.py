@@ -1,93 +1,62 @@
-"""Checks of machine and domain before anything runs, and what readers are told of a domain."""
+"""Which script spikes, and what readers are told of a domain and its policies."""
 
 import json
 import logging
 import pickle
-import shutil
 from dataclasses import replace
 
 import pytest
 from tiny import TINY, composed, without_drawing
 
 from bbq_torchrl.cli import evaluate
+from bbq_torchrl.domains import ScriptedPolicySpec
 from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.runs import build
-from bbq_torchrl.runs.build import find_spike_policy, make_domain
+from bbq_torchrl.runs.build import find_spike_policy
 from bbq_torchrl.runs.train import run
 from bbq_torchrl.settings import ConfigError
 
-
-@pytest.fixture
-def where(restaurant_folder, tmp_path):
-    """A domain whose rule needs a slot that comes later."""
-    folder = shutil.copytree(restaurant_folder, tmp_path / "domain")
-    file = folder / "domain.yaml"
-    script = "steps: [request(cuisine), "
-    file.write_text(file.read_text().replace(script, f"{script}request(price_range), "))
-    return "domain=folder", f"domain.path={folder}"
-
-
-def test_a_result_says_which_policy_it_lacks_whose_slot_has_not_come(where, tmp_path, caplog):
-    config = composed(*TINY, *where, "env=domain_ext", "spike.policy=careful", "protocol.rounds=1")
-    with caplog.at_level(logging.WARNING):
-        result = run(config, tmp_path / "run")
-    assert {"careful", "random"} <= result.scripted.keys()
-    assert "rule" not in result.scripted
-    assert any("left out of the result: policy rule" in told for told in caplog.messages)
+FORGETFUL = ScriptedPolicySpec("script", ("request(cuisine)", "thanks"))
+EARLY = ScriptedPolicySpec("careful", ("cuisine", "area"))
+CAREFUL = ScriptedPolicySpec("careful", ("cuisine", "area", "day", "hour", "party_size"))
 
 
 @pytest.fixture
-def never(restaurant_folder, tmp_path):
-    """Makes a domain whose first scripts forget to offer a booking."""
-
-    def with_scripts(*names, rest=""):
-        folder = shutil.copytree(restaurant_folder, tmp_path / "domain")
-        head = (folder / "domain.yaml").read_text().partition("policies:\n")[0]
-        forgetful = "".join(
-            f"  {name}: {{kind: script, steps: [request(cuisine), thanks]}}\n" for name in names
-        )
-        (folder / "domain.yaml").write_text(f"{head}policies:\n{forgetful}{rest}")
-        return "domain=folder", f"domain.path={folder}", "env.slot_error_prob=0"
-
-    return with_scripts
-
-
-SHORT = [item for item in TINY if not item.startswith(("spike", "env.max_turn"))]
-
-
-@pytest.fixture(autouse=True)
-def few(monkeypatch):
-    """Scripts are tried in few dialogues."""
+def spiking(restaurant, monkeypatch):
+    """The policy that spikes among some of the restaurants, of which few dialogues are tried."""
     monkeypatch.setattr(build, "TRIED", 100)
 
+    def found(policies, *choices):
+        config = composed("env.slot_error_prob=0", *choices)
+        return find_spike_policy(config, replace(restaurant, policies=policies))
 
-def spiking(config):
-    return find_spike_policy(config, make_domain(config))
+    return found
 
 
-@pytest.mark.parametrize(("spike", "expected"), [("default", "early"), ("best", "careful")])
-def test_a_script_that_succeeds_spikes_the_first_or_the_best(never, caplog, spike, expected):
-    early = "  early: {kind: careful, steps: [cuisine, area]}\n"
-    careful = "  careful: {kind: careful, steps: [cuisine, area, day, hour, party_size]}\n"
-    where = never("rule", "second", rest=early + careful + early.replace("early", "later"))
-    choice = () if spike == "default" else (f"spike={spike}",)
+@pytest.mark.parametrize(("choices", "expected"), [([], "early"), (["spike=best"], "careful")])
+def test_a_script_that_succeeds_spikes_the_first_or_the_best(spiking, caplog, choices, expected):
+    policies = {"rule": FORGETFUL, "early": EARLY, "careful": CAREFUL, "later": EARLY}
     with caplog.at_level(logging.INFO):
-        config = composed(*SHORT, *where, *choice)
-        found = {spiking(replace(config, seed=seed)) for seed in (0, 1)}
-    assert found == {expected}
+        assert {spiking(policies, *choices, f"seed={seed}") for seed in (0, 1)} == {expected}
     assert any(expected in text for text in caplog.messages)
 
 
-def test_a_domain_none_of_whose_scripts_succeeds_is_refused_with_the_way_out(never):
-    where = never("rule", "second")
+def test_a_domain_none_of_whose_scripts_succeeds_is_refused_with_the_way_out(spiking):
     with pytest.raises(ConfigError, match="spike=none"):
-        spiking(composed(*where))
-    assert spiking(composed(*where, "spike=none")) is None
+        spiking({"rule": FORGETFUL})
+    assert spiking({"rule": FORGETFUL}, "spike=none") is None
 
 
-def test_a_script_of_a_later_round_is_passed_over(where):
-    config = composed(*where, "env=domain_ext")
-    assert spiking(config) == "careful"
+def test_a_script_of_a_later_round_is_passed_over_and_not_in_the_result(
+    spiking, restaurant, tmp_path, monkeypatch
+):
+    late = ScriptedPolicySpec("script", ("request(price_range)", "thanks"))
+    policies = {"rule": late, "careful": CAREFUL}
+    assert spiking(policies, "env=domain_ext") == "careful"
+    config = composed(*TINY, "env=domain_ext", "spike.policy=careful", "protocol.rounds=1")
+    domain = replace(restaurant, policies=policies)
+    monkeypatch.setattr(type(config.domain), "make", lambda self: domain)
+    assert run(config, tmp_path / "run").scripted.keys() == {"careful", "random"}
 
 
 def test_what_of_a_corpus_is_left_out_is_told(tmp_path, caplog, capsys):

@@ -6,12 +6,13 @@ import os
 import struct
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import ClassVar
+from unittest.mock import MagicMock
 
 import forked
 import pytest
 from own_options import own_options
 from tiny import TINY, composed, needs, nightly, rows
-from torchrl.record.loggers import Logger
 
 from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.options import LoggerOption, register
@@ -32,34 +33,6 @@ class Logged:
     state: str = ""
 
 
-class Recorder(Logger):
-    """A logger of one's own, which may be closed once and then takes nothing."""
-
-    def __init__(self, folder):
-        self.logged = Logged()
-        super().__init__("recorder", str(folder))
-
-    def _create_experiment(self):
-        return None
-
-    def log_hparams(self, cfg):
-        assert not self.logged.state
-        self.logged.config = cfg
-
-    def log_metrics(self, metrics, step=None, **_):
-        assert not self.logged.state
-        if "result/success_rate" in metrics:
-            self.logged.result = metrics
-        else:
-            self.logged.rounds.append((step, metrics))
-
-    def close(self, timeout=None):
-        assert not self.logged.state
-        self.logged.state = "closed"
-
-    log_scalar = log_video = log_histogram = __repr__ = None
-
-
 RECORDED = {}
 
 pytestmark = pytest.mark.usefixtures("without_curves")
@@ -67,17 +40,19 @@ pytestmark = pytest.mark.usefixtures("without_curves")
 
 @dataclass
 class Own(LoggerOption):
-    """A logger of one's own."""
+    """A logger of one's own, which fails in some of its methods."""
 
     name: str = option("own")
+    fails: ClassVar = ()
 
     def make(self, run_folder, *, resume=False):
-        RECORDED[run_folder] = Recorder(run_folder)
+        failing = {f"{method}.side_effect": fail for method in self.fails}
+        RECORDED[run_folder] = MagicMock(**failing)
         return RECORDED[run_folder]
 
     def close(self, logger, *, finished):
         super().close(logger, finished=finished)
-        logger.logged.state = "finished" if finished else "failed"
+        logger.state = "finished" if finished else "failed"
 
 
 @pytest.fixture(autouse=True)
@@ -88,7 +63,11 @@ def _own_logger():
 
 
 def of_recorder(folder):
-    return RECORDED[folder].logged
+    logger = RECORDED[folder]
+    (config,) = logger.log_hparams.call_args.args
+    *rounds, result = [(call.kwargs["step"], *call.args) for call in logger.log_metrics.mock_calls]
+    logger.close.assert_called_once_with()
+    return Logged(config, rounds, result[1], logger.state)
 
 
 def of_tensorboard(folder):
@@ -152,12 +131,12 @@ def fail(*_, **__):
 def test_a_logger_is_told_that_its_run_has_failed(tmp_path):
     with pytest.raises(RuntimeError):
         run(composed(*RUN, "logger=own"), tmp_path, [fail])
-    assert RECORDED[tmp_path].logged.state == "failed"
+    assert RECORDED[tmp_path].state == "failed"
 
 
 @pytest.mark.parametrize("fails", nightly(["log_hparams", "log_metrics", "close"], ["log_metrics"]))
 def test_a_logger_that_fails_is_given_up_with_one_warning(fails, tmp_path, monkeypatch, caplog):
-    monkeypatch.setattr(Recorder, fails, fail)
+    monkeypatch.setattr(Own, "fails", (fails,))
     run(composed(*RUN, "logger=own"), tmp_path / "run")
     assert len(rows(tmp_path / "run" / "metrics.csv")) == 4
     assert read_result(tmp_path / "run").rounds == 2
@@ -166,7 +145,7 @@ def test_a_logger_that_fails_is_given_up_with_one_warning(fails, tmp_path, monke
 
 
 def test_a_logger_that_cannot_begin_is_refused(tmp_path, monkeypatch):
-    monkeypatch.setattr(Recorder, "_create_experiment", fail)
+    monkeypatch.setattr(Own, "make", fail)
     with pytest.raises(ConfigError, match="logger=own"):
         run(composed(*RUN, "logger=own"), tmp_path / "run")
 

@@ -11,19 +11,24 @@ from bbq_torchrl.runs.folders import load_config, restarted_config, save_config
 from bbq_torchrl.settings import ConfigError
 
 
+MIX = [{"share": 0.25, "tells": [1, 2], "insists": 1}, {"share": 0.75, "changes_mind": 0.5}]
+TEXT = "[{share:.25,tells:[1,2],insists:1},{share:.75,changes_mind:.5}]"
+
+
 @pytest.mark.parametrize(
     "command",
     [
         "",
         "agent=dqn env=domain_ext seed=3",
         "protocol=quick spike=none agent=bootstrap intrinsic=vime agent.lr=1e-5",
-        "env.users=people",
+        f"env.users={TEXT}",
     ],
 )
 def test_a_saved_configuration_is_read_back_as_it_was(tmp_path, command):
     config = composed(*command.split())
     save_config(config, tmp_path / "config.yaml")
     assert load_config(tmp_path / "config.yaml") == config
+    assert "tells" not in command or config.env.users == MIX
 
 
 RUN = ("agent=dqn", "agent.gamma=[.8,.9]", "replicas=2", "threads=3", "protocol.rounds=5")
@@ -81,17 +86,6 @@ def test_a_job_that_a_launcher_starts_again_goes_on_in_its_folder(tmp_path):
     assert restarted_config(config, tmp_path).resume == str(tmp_path)
     with pytest.raises(ConfigError, match="already holds another run"):
         restarted_config(composed("agent=bbqn", "seed=1"), tmp_path)
-
-
-MIX = [{"share": 0.25, "tells": [1, 2], "insists": 1}, {"share": 0.75, "changes_mind": 0.5}]
-TEXT = "[{share: .25, tells: [1, 2], insists: 1}, {share: .75, changes_mind: .5}]"
-
-
-def test_a_mix_of_the_command_line_is_that_of_the_saved_configuration(tmp_path):
-    config = composed(f"env.users={TEXT}")
-    assert config.env.users == MIX
-    save_config(config, tmp_path / "config.yaml")
-    assert load_config(tmp_path / "config.yaml") == config
 
 
 def test_an_evaluation_plays_with_the_users_that_it_names(capsys):
