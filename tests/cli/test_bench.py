@@ -2,10 +2,7 @@
 
 import json
 import math
-import os
 import shutil
-import signal
-import time
 from argparse import Namespace
 
 import forked
@@ -40,11 +37,6 @@ def arguments(folder, *agents, budgets=("4", "12")):
 def run(folder, *given, code=0):
     """Runs the command in a child. Returns what it printed."""
     return forked.call(lambda: bench.main(arguments("made", *given)), cwd=folder, code=code)
-
-
-def content(folder):
-    """The bytes of what is published but figures."""
-    return {file: (folder / "made" / file).read_bytes() for file in ("bench.csv", "bench.json")}
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -98,22 +90,6 @@ def test_every_cell_has_a_command_a_commit_and_versions(made):
         assert "domain=hotel env.slot_error_prob=0.1" in cell["command"]
         assert {"torch", "torchrl"} <= cell["versions"].keys()
         assert {"commit", "clean"} <= cell.keys()
-
-
-@pytest.mark.slow
-def test_a_killed_bench_continues(made, tmp_path):
-    with (tmp_path / "out").open("w") as out:
-        child = forked.start(
-            lambda: bench.main(arguments("made", "dqn", OWN)), (), tmp_path, out, out
-        )
-        metrics = tmp_path / "made" / "hotel" / "errors_0.1" / "own" / "metrics.csv"
-        while not metrics.is_file():
-            assert os.waitpid(child, os.WNOHANG) == (0, 0)
-            time.sleep(0.005)
-        os.kill(child, signal.SIGKILL)
-        os.waitpid(child, 0)
-    run(tmp_path, "dqn", OWN)
-    assert content(tmp_path) == content(made[0])
 
 
 def test_a_cell_that_fails_is_named_and_leaves_the_others_alone(made, tmp_path, monkeypatch):

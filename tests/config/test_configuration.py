@@ -1,7 +1,6 @@
 """The configurations of command lines, those of searches too."""
 
 from dataclasses import asdict
-from itertools import product
 
 import pytest
 import yaml
@@ -122,15 +121,6 @@ def test_the_edges_of_what_fits_together_are_composed():
     composed("agent=bootstrap", "agent.trunk_layers=2", "replicas=4", "agent.lr=[.1,.2]")
 
 
-def sweeps(folder):
-    """Name and overrides of every job of the sweeps in a folder of ``conf/experiment``."""
-    for file in sorted((conf_folder() / "experiment" / folder).glob("*.yaml")):
-        recipe = yaml.safe_load(file.read_text())
-        params = recipe.get("hydra", {}).get("sweeper", {}).get("params", {})
-        lists = [[f"{key}={value}" for value in str(params[key]).split(",")] for key in params]
-        yield from ((f"{folder}/{file.stem}", list(job)) for job in product(*lists))
-
-
 @pytest.mark.parametrize(
     ("setting", "env", "rounds"),
     [("table1_full", "full", 150), ("table1_extension", "domain_ext", 200)],
@@ -142,18 +132,6 @@ def test_every_cell_of_table1_has_a_recipe(setting, env, rounds):
     assert (config.env.name, config.protocol.rounds, config.replicas) == (env, rounds, 5)
     assert agent_name(asdict(config)) == "DQN-VIME-MC"
     assert all(0 < rate < 1 for rate, _ in PAPER[env].values())
-
-
-@pytest.mark.slow
-def test_every_ablation_changes_one_key_of_the_reference():
-    reference = asdict(compose(["+experiment=ablations/reference"]))
-    last = {name: overrides for name, overrides in sweeps("ablations") if overrides}
-    assert last
-    for name, (override,) in last.items():
-        group, key = override.partition("=")[0].split(".")
-        config = asdict(compose([f"+experiment={name}", override]))
-        assert config[group][key] != reference[group][key]
-        assert config | {group: config[group] | {key: reference[group][key]}} == reference
 
 
 LEARNER = {f"protocol.{key}" for key in ("lr", "epochs", "batch_size")}

@@ -1,6 +1,5 @@
 """The registry of options: accepted options, and refusals of others."""
 
-import json
 import re
 import sys
 from dataclasses import make_dataclass
@@ -211,17 +210,3 @@ def test_a_package_that_cannot_be_imported_is_named(monkeypatch):
     monkeypatch.setattr(registry, "_loaded", set())
     with pytest.raises(ConfigError, match="ailing"):
         registry.schemas()
-
-
-@pytest.mark.slow
-def test_the_commands_take_a_folder_in_processes_of_their_own(own, tmp_path):
-    train, folder = forked.ROOT / "train.py", ("--config-dir", own())
-
-    assert "narrow" in forked.python(train, *folder, "--help", cwd=tmp_path)[0]
-    # The processes of two parallel jobs find the folder too.
-    sweep = ("-m", "explore=narrow", "seed=1,2", "hydra.sweep.dir=sweep", *TINY)
-    forked.python(train, *folder, *sweep, cwd=tmp_path)
-    (one, _) = sorted(file.parent for file in (tmp_path / "sweep").rglob("result.json"))
-    evaluated = ("-m", "bbq_torchrl.cli.console", "evaluate", f"policy={one}", "dialogues=2")
-    out, _ = forked.python(*evaluated[:3], *folder, *evaluated[3:], cwd=tmp_path)
-    assert json.loads(out)["dialogues"] == 2

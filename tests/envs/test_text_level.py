@@ -8,11 +8,7 @@ import pytest
 import torch
 
 from bbq_torchrl.domains import Goal, tensorize
-from bbq_torchrl.envs import (
-    DialogueEnv,
-    ExtensionSchedule,
-    text_channel,
-)
+from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, text_channel
 from bbq_torchrl.envs.text_channel import TextChannel, count_errors, save_errors
 from bbq_torchrl.people.language import Frame, Understood
 from bbq_torchrl.simulator import MeasuredErrors

@@ -129,26 +129,14 @@ def test_a_collector_goes_on_where_it_was_saved(restaurant, tmp_path):
         each.shutdown()
 
 
-def test_outside_of_an_environment_there_is_nothing_to_save():
-    state = EnvState().state_dict()
-    EnvState().load_state_dict(state)
-
-
 def test_what_cannot_be_resumed_is_refused(restaurant):
     env = DialogueEnv(restaurant, batch_size=(2,), seed=0)
-    collector = Collector(
-        env,
-        UniformPolicy(),
-        frames_per_batch=20,
-        total_frames=-1,
-        auto_register_policy_transforms=False,
-    )
+    settings = {"frames_per_batch": 20, "auto_register_policy_transforms": False}
+    collector = Collector(env, UniformPolicy(), total_frames=-1, **settings)
     with pytest.raises(ValueError, match="EnvState"):
         collector.load_state_dict(collector.state_dict())
     collector.shutdown()
     env = DialogueEnv(restaurant, batch_size=(2,), seed=0)
-    with pytest.raises(RuntimeError, match=r"call reset\(\) first"):
-        env.reset(resume=True)
     ends = env.reset().set("action", torch.tensor([0, restaurant.action_index("thanks")]))
     env.step(ends)
     with pytest.raises(ValueError, match="resume=True"):

@@ -12,7 +12,6 @@ from bbq_torchrl.bayes import weight_scope
 from bbq_torchrl.exploration import (
     BootstrapSampling,
     EvaluationPolicy,
-    Greedy,
     NoisySampling,
     ThompsonSampling,
 )
@@ -153,24 +152,6 @@ def test_a_policy_whose_state_was_loaded_acts_on_draws_of_it(make):
     before = values(policy, td)
     policy.load_state_dict(other.state_dict())
     assert (values(policy, td) - before).abs().max() > 50
-
-
-@pytest.mark.parametrize("per", ["episode", "round"])
-@pytest.mark.parametrize("make", [thompson, shared, heads])
-def test_draws_of_inference_mode_are_acted_on_and_redrawn_outside_of_it(make, per):
-    policy, td = make(per=per), observations(40)
-    with torch.inference_mode():
-        first = values(policy, td)
-    assert torch.equal(values(policy, td), first)
-    td["is_init"][0] = True
-    values(policy, td)
-
-
-def test_a_policy_and_its_actor_train_and_evaluate_together():
-    policy = Greedy(bayes_actor())
-    policy.eval()
-    assert not policy.actor.training
-    assert policy.train().actor.training
 
 
 @pytest.mark.parametrize("make", [thompson, evaluated, one_draw])

@@ -40,17 +40,6 @@ def test_values_and_gradients_in_bfloat16_are_near_those_in_float32(make, settin
         assert (rounded - exact).norm() < 0.1 * exact.norm()
 
 
-@pytest.mark.parametrize("make", [FlatMLP, BayesMLP])
-def test_a_second_derivative_is_taken_by_torch_func_and_else_refused(make):
-    network, x = make(5, 3, (64,)), torch.randn(5)
-    with torch.no_grad():
-        next(network.parameters()).normal_()
-    with pytest.raises(RuntimeError, match="create_graph"):
-        torch.autograd.grad(network(x.requires_grad_()).sum(), x, create_graph=True)
-    hessian = torch.func.hessian(lambda x: network(x).pow(2).sum())(x.detach())
-    assert hessian.abs().max() > 0
-
-
 class Zeros(nn.Module):
     def forward(self, x):
         return torch.zeros(*x.shape[:-1], 4)

@@ -6,19 +6,24 @@ from q_transitions import heads_loss, plain_loss, result, transitions
 
 from bbq_torchrl.data import ReplicaReplay
 
+MARGIN, FACTOR = 2.0, 7.0
 
-def by_definition(values, action, legal, demonstrated, weight, margin):
+
+def by_definition(values, td):
     """The loss of one network, row by row."""
     total = 0.0
-    for row, chosen in enumerate(action.flatten().tolist()):
-        if demonstrated[row]:
-            ahead = [
-                values[row, other] + margin * (other != chosen)
-                for other in range(values.shape[-1])
-                if legal[row, other]
-            ]
-            total = total + weight[row] * (max(ahead) - values[row, chosen])
-    return total
+    for q, row in zip(values, td, strict=True):
+        if row["protected"]:
+            ahead = (q + MARGIN).index_copy(0, row["action"].view(1), q[row["action"]].view(1))
+            total = total + ahead[row["action_mask"]].max() - q[row["action"]]
+    return FACTOR * total / len(td)
+
+
+def added(loss, td, key):
+    """What imitation adds to a value of the loss."""
+    before = loss(td)[key]
+    loss.imitate(MARGIN, FACTOR)
+    return loss(td)[key] - before
 
 
 def marked(replicas=(), batch=(12,), **settings):
@@ -32,37 +37,19 @@ def test_a_loss_adds_it_to_the_mean_squared_error_of_each_replica(rows):
     loss, td = plain_loss((3,), dtype=torch.double)[0], marked((3,))
     if rows < 12:
         td["valid"] = torch.arange(12).expand(3, 12) < rows
-    before = loss(td)["loss_value"]
-    loss.imitate(2.0, 7.0)
-    added = loss(td)["loss_value"] - before
     values = loss.value_network[0].module(td["observation"])
-    for replica in range(3):
-        one = td[replica, :rows]
-        given = one["action"], one["action_mask"], one["protected"], [7 / rows] * rows
-        expected = by_definition(values[replica], *given, 2.0)
-        torch.testing.assert_close(added[replica], torch.as_tensor(expected).detach())
+    expected = [by_definition(q[:rows], one[:rows]) for q, one in zip(values, td, strict=True)]
+    torch.testing.assert_close(added(loss, td, "loss_value"), torch.stack(expected).detach())
 
 
 def test_each_head_prefers_the_demonstrated_actions_by_itself():
     loss, td = heads_loss(dtype=torch.double)[0], marked()
-    td["bootstrap_mask"] = torch.rand(12, 3) < 0.7
-    td["bootstrap_mask"][-1] = True
-    before = loss(td)["loss"]
-    loss.imitate(2.0, 7.0)
-    added = loss(td)["loss"] - before
+    learns = torch.rand(12, 3) < 0.7
+    learns[-1] = True
+    td["bootstrap_mask"] = learns
     values = loss.value_network[0].module(td["observation"])
-    expected = sum(
-        by_definition(
-            values[:, head],
-            td["action"],
-            td["action_mask"],
-            td["protected"],
-            7 * (own := td["bootstrap_mask"][:, head].double()) / own.sum(),
-            2.0,
-        )
-        for head in range(3)
-    )
-    torch.testing.assert_close(added, expected)
+    expected = [by_definition(values[own, head], td[own]) for head, own in enumerate(learns.T)]
+    torch.testing.assert_close(added(loss, td, "loss"), sum(expected))
 
 
 def test_every_loss_learns_the_margin_and_only_from_marked_rows(make):

@@ -10,7 +10,6 @@ from bbq_torchrl.cli import evaluate
 from bbq_torchrl.runs.folders import load_config, restarted_config, save_config
 from bbq_torchrl.settings import ConfigError
 
-
 MIX = [{"share": 0.25, "tells": [1, 2], "insists": 1}, {"share": 0.75, "changes_mind": 0.5}]
 TEXT = "[{share:.25,tells:[1,2],insists:1},{share:.75,changes_mind:.5}]"
 

@@ -1,11 +1,13 @@
 """The simulator beyond the oracle: features, draws, batch shapes, compilation, settings."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.tensors import index_below
-from bbq_torchrl.simulator import ErrorModel, FeatureLayout, Rewards, Simulator
+from bbq_torchrl.simulator import ErrorModel, FeatureLayout, KnowledgeBase, Rewards, Simulator
 
 NAN = float("nan")
 
@@ -72,6 +74,15 @@ def test_the_largest_number_never_reaches_the_count():
     counts = torch.tensor([1, 3, 7, 1_000, 2**24 + 1])
     assert (index_below(largest, counts) < counts).all()
     assert index_below(largest, 0) == 0
+
+
+def test_memory_grows_with_the_records_and_not_with_their_square(movie):
+    def words(times):
+        larger = KnowledgeBase(replace(domain, records=domain.records.repeat(times, 1)))
+        return larger.sets.numel() + larger.ordered_sets.numel()
+
+    domain = tensorize(movie)
+    assert words(4) < 5 * words(1)
 
 
 @pytest.mark.parametrize(
