@@ -11,15 +11,7 @@ from torch import nn
 from torch.func import functional_call, vmap
 from torchrl.data import Categorical
 
-from bbq_torchrl.bayes import (
-    BayesConv2d,
-    BayesLayer,
-    BayesLinear,
-    BayesMLP,
-    GaussianPosterior,
-    kl_divergence,
-    weight_scope,
-)
+from bbq_torchrl import bayes
 from bbq_torchrl.bayes.posterior import posteriors
 from bbq_torchrl.networks import q_actor
 from bbq_torchrl.objectives import BBQNLoss
@@ -27,7 +19,7 @@ from bbq_torchrl.objectives import BBQNLoss
 REPLICAS = [(), (3,), (2, 2)]
 
 
-class BayesScale(BayesLayer):
+class BayesScale(bayes.BayesLayer):
     """A custom layer with one weight per feature."""
 
     def __init__(self, features, **settings):
@@ -44,7 +36,7 @@ class Gain(nn.Module):
 
     def __init__(self, features, **settings):
         super().__init__()
-        self.posterior = GaussianPosterior([features], 0.5, **settings)
+        self.posterior = bayes.GaussianPosterior([features], 0.5, **settings)
 
     def forward(self, x):
         return x * self.posterior.weights()
@@ -52,9 +44,9 @@ class Gain(nn.Module):
 
 # name -> (layer, the features of an input)
 LAYERS = {
-    "linear": (partial(BayesLinear, 4, 3), (4,)),
-    "mlp": (partial(BayesMLP, 4, 3, (5,)), (4,)),
-    "conv": (partial(BayesConv2d, 2, 3, (3, 2), stride=2, padding=1), (2, 6, 5)),
+    "linear": (partial(bayes.BayesLinear, 4, 3), (4,)),
+    "mlp": (partial(bayes.BayesMLP, 4, 3, (5,)), (4,)),
+    "conv": (partial(bayes.BayesConv2d, 2, 3, (3, 2), stride=2, padding=1), (2, 6, 5)),
     "own": (partial(BayesScale, 4), (4,)),
 }
 
@@ -86,7 +78,7 @@ def test_a_replica_is_a_separate_layer(name, replicas):
     "settings", [{}, {"stride": 2, "padding": 1}, {"stride": (1, 2), "padding": (2, 0)}], ids=str
 )
 def test_a_convolution_is_torchs(settings):
-    net = BayesConv2d(2, 4, (3, 2), dtype=torch.double, **settings)
+    net = bayes.BayesConv2d(2, 4, (3, 2), dtype=torch.double, **settings)
     x, weights = torch.randn(5, 2, 8, 7).double(), net.draw_weights()
     expected = F.conv2d(x, weights[:-4].reshape(4, 2, 3, 2), weights[-4:], **settings)
     torch.testing.assert_close(net(x, weights=weights), expected)
@@ -119,7 +111,7 @@ def test_shapes_and_local_noise_that_would_be_no_weight_draw_are_refused(name, s
 
 
 @pytest.mark.parametrize("make", [BayesScale, Gain])
-@pytest.mark.parametrize("beside", [BayesMLP, nn.Linear])
+@pytest.mark.parametrize("beside", [bayes.BayesMLP, nn.Linear])
 def test_every_posterior_of_a_network_counts(make, beside):
     own = make(ACTIONS)
     with torch.no_grad():
@@ -129,7 +121,7 @@ def test_every_posterior_of_a_network_counts(make, beside):
     actor = q_actor(net, Categorical(ACTIONS))
     loss = BBQNLoss(actor, num_data=100, kl_temperature=1.0, delay_value=False)
     out = loss(td)
-    torch.testing.assert_close(out["kl"], kl_divergence(net))
+    torch.testing.assert_close(out["kl"], bayes.kl_divergence(net))
     assert out["kl"] > 1000
     out["loss"].backward()
     slope = loss.value_network_params["module", "0", "module", "1", "posterior", "mu"].grad
@@ -143,7 +135,7 @@ def test_gradients_under_a_transform_are_the_hand_written_ones(kind):
     noise = torch.randn_like(net.posterior.mu)
 
     def value(parameters):
-        with weight_scope("draw", noise=FixedNoise(noise), kl=kind) as scope:
+        with bayes.weight_scope("draw", noise=FixedNoise(noise), kl=kind) as scope:
             out = functional_call(net, parameters, (x,))
             return out.square().sum() + scope.kl.total()
 

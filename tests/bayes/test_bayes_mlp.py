@@ -6,22 +6,15 @@ from copy import deepcopy
 import numpy as np
 import pytest
 import torch
+from q_transitions import off_prior
 from torch.func import functional_call
 
 from bbq_torchrl.bayes import BayesMLP, GaussianPosterior, kl_divergence, weight_scope
 
 
-def trained(net):
-    """Gives the posterior means and spreads away from the prior."""
-    with torch.no_grad():
-        net.posterior.mu.normal_(0, 0.3)
-        net.posterior.rho.uniform_(-3, 0)
-    return net
-
-
 @pytest.mark.parametrize("replicas", [(), (3,), (2, 3)])
 def test_its_modes_are_the_networks_of_the_means_and_of_one_draw(replicas):
-    net, x = trained(BayesMLP(4, 3, (8, 8), replicas=replicas)), torch.randn(*replicas, 6, 4)
+    net, x = off_prior(BayesMLP(4, 3, (8, 8), replicas=replicas)), torch.randn(*replicas, 6, 4)
     assert torch.equal(net(x, "mean"), net(x, weights=net.posterior.mu))
     torch.manual_seed(0)
     weights = net.draw_weights()
@@ -32,7 +25,7 @@ def test_its_modes_are_the_networks_of_the_means_and_of_one_draw(replicas):
 @pytest.mark.parametrize("mode", ["draw", "local", "mean"])
 @pytest.mark.parametrize("replicas", [(), (2,)])
 def test_gradcheck_in_every_mode(mode, replicas):
-    net = trained(BayesMLP(2, 2, (3,), replicas=replicas, dtype=torch.double))
+    net = off_prior(BayesMLP(2, 2, (3,), replicas=replicas, dtype=torch.double))
     x = torch.randn(*replicas, 2, 2, dtype=torch.double, requires_grad=True)
 
     def call(x, mu, rho):
@@ -75,7 +68,7 @@ def test_it_starts_at_the_prior_or_at_std_init():
     net = BayesMLP(10, 3, (20,), prior_std=0.3, mean_init="zero", std_init=None)
     assert not net.posterior.mu.any()
     torch.testing.assert_close(net.posterior.sigma, torch.full_like(net.posterior.mu, 0.3))
-    net = trained(BayesMLP(10, 3, (20,), replicas=(2,), mean_init="kaiming", std_init=0.03))
+    net = off_prior(BayesMLP(10, 3, (20,), replicas=(2,), mean_init="kaiming", std_init=0.03))
     net.reset_parameters()
     for matrix, bias in net.layout.unflatten(net.posterior.mu.detach()):
         bound = matrix.shape[-2] ** -0.5

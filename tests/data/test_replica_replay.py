@@ -152,26 +152,6 @@ def test_it_is_gone_once_the_transitions_change(change):
     assert SQUARE not in read(replay).keys(include_nested=True)
 
 
-def test_a_replicas_values_do_not_depend_on_anothers_length():
-    """Every call has the same shape, and sees stored transitions only."""
-    weight = torch.randn(2, 64, 8)
-    shapes, values = [], []
-
-    def network(transitions):
-        observation = transitions["observation"]
-        shapes.append(tuple(transitions.shape))
-        assert ((observation % 10_000) < 1400).all()
-        return torch.bmm(observation.sin().expand(-1, -1, 64), weight)
-
-    for other in (5, 1400):
-        replay = filled(90, other)
-        replay.compute(SQUARE, network)
-        values.append(read(replay)[SQUARE][0, :90])
-
-    assert torch.equal(*values)
-    assert shapes == [(2, 512)] * (1 + 3)
-
-
 # -- transforms ----------------------------------------------------------------------------
 
 

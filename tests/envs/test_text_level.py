@@ -118,17 +118,6 @@ def test_a_request_that_is_heard_once_is_kept_until_it_is_answered(movie):
     assert torch.equal(env.dialogues["heard_requests"], asked)
 
 
-def test_another_spelling_of_a_value_is_the_value_that_was_said(movie):
-    times = tensorize(movie).vocabulary[movie.slots.index("starttime")]
-    said = next(text for text in times if " " in text and text.replace(" ", "") in times)
-    goal = Goal({"starttime": said}, ("theater",))
-    other = Frame("inform", {"starttime": said.replace(" ", "")})
-    channel, _ = channel_of(movie, hears=lambda _: other)
-    env, _ = begun(replace(movie, goals=(goal,)), channel)
-    assert torch.equal(env.dialogues["user_informs"], env.dialogues["meant_informs"])
-    assert env.dialogues["user_informs"].any()
-
-
 @pytest.mark.parametrize("action", ["greeting", "request(city)"])
 def test_who_is_asked_again_is_understood_and_takes_turns(movie, action):
     channel, letters = channel_of(movie, unsure=lambda words: words % 3)
@@ -222,12 +211,6 @@ def test_what_is_misheard_is_counted_by_what_was_said(movie, counted, heard, man
     unsaid = {slot: [openings * (slot in heard.requests), openings] for slot in movie.slots}
     del unsaid["theater"]
     assert counts["requests"]["1 unsaid opening"] == unsaid
-
-
-def test_who_is_always_understood_is_counted_so(restaurant, counted):
-    counts = counted(restaurant)
-    for state in played(restaurant, MeasuredErrors(tensorize(restaurant), counts)):
-        assert_heard_as_meant(state)
 
 
 def test_a_domain_without_counts_is_told_how_to_make_them(restaurant):

@@ -1,15 +1,11 @@
 """Runs of one setting are a group with a label, and groups of one seed are compared by pairs."""
 
-from pathlib import Path
-from types import SimpleNamespace
-
 import pytest
 import torch
-from hypothesis import given, strategies as st
 from tiny import composed
 
-from bbq_torchrl.evaluation.finished_runs import Replica, agent_name
-from bbq_torchrl.evaluation.groups import adjusted, grouped, pair, read_groups, references
+from bbq_torchrl.evaluation.finished_runs import agent_name
+from bbq_torchrl.evaluation.groups import adjusted, pair, read_groups, references
 from bbq_torchrl.runs.train import build_trainer
 
 
@@ -59,35 +55,6 @@ def test_a_label_says_what_tells_a_group_from_the_first(add, others, labels):
     first, *found = read_groups([add([0.5]), *(add([0.5], **other) for other in others)])
     assert first.label == "BBQN-MAP"
     assert [group.label for group in found] == labels
-
-
-def settings_of(group, *keys):
-    """A group's keys and values: the name of its option, and keys that another may lack."""
-    values = {key: st.sampled_from([None, 0.1, 2, "step"]) for key in keys}
-    return st.tuples(
-        st.just(group), st.fixed_dictionaries({"name": st.sampled_from("ab")}, optional=values)
-    )
-
-
-CONFIGS = st.tuples(
-    settings_of("agent", "lr", "hidden"),
-    settings_of("explore", "per", "shared"),
-    settings_of("intrinsic"),
-    settings_of("env", "start"),
-    settings_of("protocol", "batch"),
-).map(dict)
-
-
-@given(st.lists(CONFIGS, min_size=1, max_size=6))
-def test_labels_of_different_settings_differ(configs):
-    result = SimpleNamespace(rounds=3, per_replica=[SimpleNamespace(values={})])
-    replicas = [
-        Replica(Path(str(number)), 0, config, SimpleNamespace(**vars(result), seed=number), None)
-        for number, config in enumerate(configs)
-    ]
-    groups = grouped(replicas)
-    assert len({group.label for group in groups}) == len(groups)
-    assert len(groups) == len({str(sorted(one.setting.items(), key=str)) for one in replicas})
 
 
 @pytest.mark.parametrize("stds", [[0.2, 0.2], [0.05, 0.2]])

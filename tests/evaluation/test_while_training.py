@@ -2,7 +2,6 @@
 
 import dataclasses
 import logging
-import math
 
 import numpy as np
 import pytest
@@ -139,11 +138,6 @@ def test_a_run_ends_with_its_success_beside_the_scripted_policies(small, tmp_pat
     for part, (name, rate) in zip(caplog.messages[-1].split("; "), named.items(), strict=True):
         assert name in part
         assert (f"{rate:.2f}".lstrip("0") if 0.005 <= rate < 0.995 else f"{rate:.0f}") in part
-    given = [f"policy={best}", "dialogues=1000", "seed=5", "domain=folder"]
-    alone = command.evaluation(command.composed([*given, f"domain.path={config.domain.path}"]))
-    # 400 dialogues and 1,000 others: at most five standard errors apart.
-    spread = math.sqrt(0.25 / 400 + 0.25 / 1000)
-    assert result.scripted[best] == pytest.approx(alone["success_rate"], abs=5 * spread)
 
     # It was not evaluated while training, so there are no best weights.
     assert read_result(tmp_path) == result

@@ -9,22 +9,16 @@ from tensordict import TensorDict
 from torch import nn
 from torchrl.data import Categorical, OneHot
 
+from bbq_torchrl import networks
 from bbq_torchrl.bayes import BayesMLP
-from bbq_torchrl.networks import (
-    BootstrapMLP,
-    FlatMLP,
-    NoisyMLP,
-    bootstrap_actor,
-    q_actor,
-)
 
-HEADS = partial(BootstrapMLP, heads=3, trunk_layers=1, prior_scale=0.5)
-SEPARATE = partial(BootstrapMLP, heads=3, trunk_layers=0)
+HEADS = partial(networks.BootstrapMLP, heads=3, trunk_layers=1, prior_scale=0.5)
+SEPARATE = partial(networks.BootstrapMLP, heads=3, trunk_layers=0)
 
 
 @pytest.mark.parametrize(
     ("make", "settings"),
-    [(FlatMLP, {}), (BayesMLP, {"mode": "draw"}), (HEADS, {})],
+    [(networks.FlatMLP, {}), (BayesMLP, {"mode": "draw"}), (HEADS, {})],
 )
 def test_values_and_gradients_in_bfloat16_are_near_those_in_float32(make, settings):
     net, x = make(5, 4, (64, 64), replicas=2), torch.randn(2, 32, 7, 5)
@@ -46,7 +40,7 @@ class Zeros(nn.Module):
 
 
 def test_of_actions_of_one_value_one_legal_action_is_chosen():
-    actor = pickle.loads(pickle.dumps(q_actor(Zeros(), OneHot(4))))
+    actor = pickle.loads(pickle.dumps(networks.q_actor(Zeros(), OneHot(4))))
     mask = torch.tensor([[False, True, False, True], [True] * 4])
     td = actor(TensorDict(observation=torch.ones(2, 2), action_mask=mask, batch_size=[2]))
     assert td["action"].tolist() == [[0, 1, 0, 0], [1, 0, 0, 0]]
@@ -56,7 +50,7 @@ def test_of_actions_of_one_value_one_legal_action_is_chosen():
 # -- refusals ------------------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("make", [FlatMLP, BayesMLP, NoisyMLP, HEADS, SEPARATE])
+@pytest.mark.parametrize("make", [networks.FlatMLP, BayesMLP, networks.NoisyMLP, HEADS, SEPARATE])
 @pytest.mark.parametrize("shape", [(2, 8, 5), (3, 8, 6), (3,), (5,)])
 def test_an_input_whose_shape_does_not_fit_is_refused(make, shape):
     with pytest.raises(ValueError, match="input"):
@@ -69,15 +63,15 @@ MANY = Categorical(4, shape=(3,))
 @pytest.mark.parametrize(
     ("key", "wrong"),
     [
-        ("dropout", lambda: FlatMLP(3, 2, dropout=-0.1)),
-        ("dropout", lambda: FlatMLP(3, 2, dropout=1.0)),
-        ("mode", lambda: FlatMLP(3, 2)(torch.ones(3), "off")),
-        ("heads", lambda: BootstrapMLP(3, 2, heads=0)),
-        ("trunk_layers", lambda: BootstrapMLP(3, 2, trunk_layers=3)),
-        ("prior_scale", lambda: BootstrapMLP(3, 2, prior_scale=torch.nan)),
-        ("std_init", lambda: NoisyMLP(4, 3, std_init=0.0)),
-        ("spec", lambda: q_actor(nn.Linear(2, 4), MANY)),
-        ("spec", lambda: bootstrap_actor(nn.Linear(2, 4), MANY)),
+        ("dropout", lambda: networks.FlatMLP(3, 2, dropout=-0.1)),
+        ("dropout", lambda: networks.FlatMLP(3, 2, dropout=1.0)),
+        ("mode", lambda: networks.FlatMLP(3, 2)(torch.ones(3), "off")),
+        ("heads", lambda: networks.BootstrapMLP(3, 2, heads=0)),
+        ("trunk_layers", lambda: networks.BootstrapMLP(3, 2, trunk_layers=3)),
+        ("prior_scale", lambda: networks.BootstrapMLP(3, 2, prior_scale=torch.nan)),
+        ("std_init", lambda: networks.NoisyMLP(4, 3, std_init=0.0)),
+        ("spec", lambda: networks.q_actor(nn.Linear(2, 4), MANY)),
+        ("spec", lambda: networks.bootstrap_actor(nn.Linear(2, 4), MANY)),
     ],
 )
 def test_what_makes_no_network_or_actor_is_refused(key, wrong):

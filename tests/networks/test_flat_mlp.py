@@ -82,13 +82,6 @@ def test_each_row_of_each_replica_drops_separate_units():
     assert torch.unique(out, dim=0).shape[0] == 15
 
 
-def test_without_dropout_no_random_number_is_drawn():
-    net, x = FlatMLP(4, 3, (32,)), torch.randn(6, 4)
-    state = torch.get_rng_state()
-    net(x, "draw")
-    assert torch.equal(torch.get_rng_state(), state)
-
-
 FEATURES, OUT, HIDDEN, HEADS = 5, 3, (7, 6), 4
 
 

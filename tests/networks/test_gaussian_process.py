@@ -103,17 +103,6 @@ def test_draws_for_each_row_have_the_moments_of_weight_draws(replicas):
         assert ((values.var(-2) / variance - 1).abs() < 5 * math.sqrt(2 / count)).all()
 
 
-def test_one_draw_for_all_rows_is_one_function():
-    network = fitted(StateFeatures(FEATURES, 10), episodes())
-    states = torch.randn(6, FEATURES)
-    weights = network.draw_weights()
-    with weight_scope(weights={network: weights}):
-        at_once = network(states)
-        one_by_one = torch.cat([network(state[None]) for state in states])
-    torch.testing.assert_close(at_once, one_by_one)
-    assert (at_once - network(states, "mean")).abs().min() > 0
-
-
 @pytest.mark.parametrize(
     "settings", [{"inducing": 0}, {"kernel": "linear"}, {"lengthscale": 0}, {"prior_std": 0}]
 )

@@ -10,7 +10,7 @@ from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import EGreedyModule, QValueActor, QValueModule
 
-from bbq_torchrl.bayes import BayesConv2d, BayesLinear, kl_divergence
+from bbq_torchrl.bayes import BayesLinear, kl_divergence
 from bbq_torchrl.exploration import (
     BootstrapSampling,
     EvaluationPolicy,
@@ -40,11 +40,6 @@ def sequence(trunk, linear, read=("observation",), write=("hidden",)):
         TensorDictModule(linear(HIDDEN, ACTIONS), ["hidden"], ["action_value"]),
         QValueModule(action_space="categorical", action_mask_key="action_mask"),
     )
-
-
-def convolutional():
-    layers = BayesConv2d(2, 3, 3), nn.ReLU(), nn.Flatten(-3), BayesLinear(36, HIDDEN), nn.ReLU()
-    return sequence(nn.Sequential(nn.Unflatten(-1, (2, 6, 5)), *layers), BayesLinear)
 
 
 class Cell(nn.GRUCell):
@@ -89,7 +84,7 @@ def nested():
     return TensorDictSequential(TensorDictSequential(trunk, actor), explore)
 
 
-BAYESIAN = [convolutional, recurrent, nested]
+BAYESIAN = [recurrent, nested]
 
 
 @pytest.mark.parametrize(

@@ -65,35 +65,6 @@ def test_a_fit_without_a_solution_leaves_the_other_replicas_alone():
     assert torch.equal(out["loss_value"][1:], plain["loss_value"][1:])
 
 
-def test_drawn_targets_are_those_of_one_draw_in_all_sweeps():
-    """After enough sweeps the mean is the regression on the values of that very draw."""
-    data, gamma, noise_std, value_std = transitions(batch=(64,)), 0.5, 2.0, 4.0
-    loss = gp_loss(target="draw", sweeps=60, gamma=gamma, noise_std=noise_std, value_std=value_std)
-    torch.manual_seed(5)
-    loss.fit(data)
-
-    network, after = loss.network, data["next"]
-    with torch.no_grad():
-        phi, phi_after = (network.features_of(0, td["observation"]) for td in (data, after))
-        torch.manual_seed(5)
-        values = phi_after[0] @ network.mean.mT + network.deviation(0, *phi_after)
-    best = values.masked_fill(~after["action_mask"], -1e9).amax(-1)
-    target = after["reward"][:, 0] + gamma * best * ~after["terminated"][:, 0]
-    # the same regressions by the kernel trick instead of the features' normal equations
-    gram, noise = phi[0] @ phi[0].mT, noise_std**2 * torch.eye(64)
-    shared = value_std**2 * gram @ torch.linalg.solve(value_std**2 * gram + noise, target)
-    for action in range(ACTIONS):
-        rows = data["action"] == action
-        own = gram[:, rows] @ torch.linalg.solve(
-            gram[rows][:, rows] + noise[rows][:, rows], (target - shared)[rows]
-        )
-        expected = (shared + own).detach()
-        torch.testing.assert_close(
-            (phi[0] @ network.mean[action]).detach(), expected, rtol=0, atol=1e-3
-        )
-    assert network.deviation(0, *phi_after).detach().std() > 0.1
-
-
 @pytest.mark.parametrize("target", ["mean", "draw"])
 def test_a_replica_is_fitted_bitwise_as_next_to_others_and_padding_is_left_out(target):
     loss, data = gp_loss((3,), target=target), transitions((3,), (50,))

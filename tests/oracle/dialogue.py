@@ -35,16 +35,14 @@ class Setting:
     slot_error_mode: str = "value"
     intent_error_prob: float = 0.0
     max_turn: int = 40
-    active: tuple[str, ...] | None = None
     extension: int | None = None
     users: tuple = ()
 
     def active_slots(self, domain):
-        """Returns the slots active in this setting, in slot order."""
-        chosen = domain.slots if self.active is None else self.active
-        if self.extension is not None:
-            chosen = (*domain.essential, *domain.extension_order[: self.extension])
-        return [slot for slot in domain.slots if slot in chosen]
+        """Returns the slots active in this setting."""
+        if self.extension is None:
+            return domain.slots
+        return (*domain.essential, *domain.extension_order[: self.extension])
 
 
 class World:

@@ -44,7 +44,7 @@ FEW = SETTINGS[2::3]
 
 
 def test_the_simulator_agrees_with_the_oracle_on_our_movies(movie):
-    play(movie, 160, seed=0)
+    play(movie, 180, seed=0)
 
 
 def test_the_simulator_agrees_with_the_oracle_where_goals_and_errors_are_odd():
@@ -75,7 +75,7 @@ def test_the_simulator_agrees_with_the_oracle_where_several_slots_open_a_dialogu
 ):
     several = replace(movie, opening_slots=("date", "moviename", "city"))
     play(several, 40, seed=600, settings=FEW)
-    play(replace(restaurant, opening_slots=()), 40, seed=700, settings=FEW)
+    play(replace(restaurant, opening_slots=()), 20, seed=700, settings=FEW)
 
 
 @pytest.mark.cuda
@@ -96,7 +96,7 @@ def play(domain, dialogues, seed, device="cpu", settings=SETTINGS):
     successes = 0
     for number, setting in enumerate(settings):
         successes += Comparison(domain, setting, dialogues, seed + number, device).play()
-    assert successes > len(settings) * dialogues / 50
+    assert successes > len(settings) * dialogues / 20
 
 
 def many_wishes():

@@ -16,7 +16,6 @@ from tiny import TINY, composed, needs, nightly, rows
 
 from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.options import LoggerOption, register
-from bbq_torchrl.options.logger import MLFlow
 from bbq_torchrl.runs.train import main, run
 from bbq_torchrl.settings import ConfigError, option
 
@@ -244,27 +243,6 @@ def test_a_logger_that_cannot_be_reached_is_refused_before_a_folder_is_there(
     assert "Traceback" not in error
     assert "secret" not in error
     assert not (tmp_path / "runs").exists()
-
-
-@pytest.mark.slow
-@pytest.mark.filterwarnings("ignore")
-def test_processes_that_start_together_share_a_new_database(tmp_path, monkeypatch):
-    mlflow = imported("mlflow")
-    address = f"sqlite:///{tmp_path}/shared.db"
-    monkeypatch.setenv("MLFLOW_TRACKING_URI", address)
-
-    def begin():
-        chosen = MLFlow()
-        chosen.check_ready()
-        chosen.close(chosen.make(tmp_path), finished=True)
-
-    with (tmp_path / "log").open("w") as log:
-        children = [forked.start(begin, (), tmp_path, log, log) for _ in range(4)]
-        codes = [os.waitstatus_to_exitcode(os.waitpid(child, 0)[1]) for child in children]
-    assert codes == [0] * 4, (tmp_path / "log").read_text()
-    client = mlflow.MlflowClient(address)
-    experiments = [found.experiment_id for found in client.search_experiments()]
-    assert len(client.search_runs(experiments)) == 4
 
 
 def sweep(name, folder):

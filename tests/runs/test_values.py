@@ -69,7 +69,7 @@ def trained(config, folder):
     return [parameter.detach().clone() for parameter in trainer.learner.optimizer.parameters], plain
 
 
-DAILY = ("BBQN-MC", "VIME-MC, Boltzmann")
+DAILY = ("BBQN-MC", "BBQN-MAP, extension", "VIME-MC, Boltzmann")
 
 
 @pytest.mark.parametrize("case", nightly(CASES, DAILY))

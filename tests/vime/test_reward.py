@@ -97,36 +97,6 @@ def test_single_rows_batches_of_any_shape_and_ends_of_any_dtype():
     assert torch.equal(transform().inv(td)[BONUS], expected)
 
 
-@pytest.mark.parametrize("weights", ["map", "mc"])
-@pytest.mark.parametrize(
-    ("lengths", "others"), [((90, 70, 10), (270, 70, 530)), ((1, 1, 0), (300, 1, 530))]
-)
-def test_replicas_do_not_depend_on_one_another_nor_on_padding(weights, lengths, others):
-    # replica 1 is the same in both; the others' rows, and so the padding, are not
-    own = lengths[1]
-    first, second = (transitions(3, max(n), size=268) for n in (lengths, others))
-    second[1, :own] = first[1, :own]
-    bonuses, states, reports = [], [], []
-    for td, counts, seeds in ((first, lengths, [7, 8, 9]), (second, others, [1, 8, 2])):
-        td["valid"] = torch.arange(td.shape[1]) < torch.tensor(counts).unsqueeze(-1)
-        for key in ("observation", ("next", "observation")):
-            td[key][~td["valid"]] = torch.nan
-        td["action"][~td["valid"]] = -1
-        vime = transform((3,), 268, weights=weights)
-        vime.set_seeds(seeds)
-        stored = [vime.inv(td)[BONUS], vime.inv(td)[BONUS]]
-        assert not any(bonus[~td["valid"]].any() for bonus in stored)
-        bonuses.append(torch.stack([bonus[1, :own] for bonus in stored]))
-        states.append({k: v for k, v in vime.state_dict().items() if "prior" not in k})
-        reports.append(vime.pop_metrics()["intrinsic_reward"])
-    assert torch.equal(*bonuses)
-    assert not torch.equal(*(state["dynamics.mean"][0] for state in states))
-    for name, value in states[0].items():
-        assert torch.equal(value[1], states[1][name][1])
-    assert reports[0][1] == reports[1][1]
-    assert reports[0][2].isnan() == (lengths[2] == 0)
-
-
 def test_the_bonus_is_added_to_the_reward_that_is_read_and_to_no_stored_one():
     memory, other, td = buffer(transform(eta=0.3)), buffer(transform(eta=0.3)), transitions(100)
     memory.extend(td)
