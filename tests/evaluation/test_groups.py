@@ -90,9 +90,7 @@ NONE, VIME = {"name": "none"}, {"name": "vime", "weights": "map"}
         # a target and a gain that differ are both named
         ("bbqn", {"target": "mc"}, "thompson", VIME, "BBQN-MC-VIME-MAP"),
         ("bbqn", {"target": "map"}, "thompson_boltzmann", VIME, "Soft BBQN-VIME-MAP"),
-        ("bbqn", {"target": "map"}, "greedy", VIME, "BBQN-VIME-MAP, explore=greedy"),
         ("dqn", {"double": True}, "boltzmann", NONE, "Double DQN-Boltzmann"),
-        ("dqn", {"noisy": True}, "epsilon_greedy", NONE, "Noisy DQN, explore=epsilon_greedy"),
         ("bootstrap", {}, "greedy", NONE, "DQN-Bootstrap, explore=greedy"),
         # a name leaves out the keys of a user's options
         ("polyak", {"target": 0.005, "noisy": 0.1}, "greedy", NONE, "POLYAK, explore=greedy"),

@@ -4,14 +4,9 @@ import json
 
 import pytest
 from result_folders import metrics_text
-from scipy import stats
 from tiny import rows
 
-from bbq_torchrl.evaluation.compare_runs import PAPER, pair_parts, success_row
 from bbq_torchrl.evaluation.finished_runs import find_runs
-from bbq_torchrl.evaluation.groups import read_groups
-from bbq_torchrl.utils.reports import Table
-from bbq_torchrl.utils.statistics import estimate, estimate_iqm, interquartile_mean
 
 GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]
 BAD = [0.50, 0.40, 0.60, 0.55, 0.45]
@@ -46,42 +41,6 @@ def test_runs_without_a_result_are_told_apart_wherever_they_stand(add, tmp_path)
     for places in ([stopped], [finished, tmp_path / "empty"], [tmp_path / "other"]):
         with pytest.raises(ValueError, match="run"):
             find_runs(places)
-
-
-def test_a_row_has_the_statistics_of_its_group_and_its_csv_all_digits(add, tmp_path):
-    runs = [add(GOOD), add(BAD[:3], agent="dqn"), add(BAD[:1], agent="dqn", noisy=True)]
-    table = Table("report", [success_row(group) for group in read_groups(runs)], words=2)
-    low, high = stats.t.interval(0.95, 4, sum(GOOD) / 5, stats.sem(GOOD))
-    row = str(table).splitlines()[2]
-    numbers = (
-        f"0.750 [{low:.3f}, {high:.3f}] | {estimate_iqm(GOOD)} | {PAPER['full']['BBQN-MAP'][0]}"
-    )
-    assert row.startswith(f"| BBQN-MAP | thompson | 5 | 3 | {numbers} | 10.00 | 10.71 | 8.00 | ")
-    assert f"| {estimate([rate / 2 for rate in GOOD])} |" in row
-    table.write(tmp_path)
-    five, three, one = rows(tmp_path / "report.csv")
-    assert float(five["final_success_low"]) == pytest.approx(low)
-    assert float(five["cumulative"]) == pytest.approx(sum(GOOD) / 10)
-    # Few seeds have no bootstrap interval, and one has none at all.
-    assert float(three["iqm"]) == pytest.approx(interquartile_mean(BAD[:3]))
-    assert three["iqm_low"] == one["final_success_low"] == ""
-    assert float(three["final_success_low"]) < 0.5 == float(one["final_success"])
-
-
-def test_all_others_are_compared_with_the_first_by_pairs_and_holms_p(add):
-    dqn = {"agent": "dqn"}
-    runs = [add(GOOD), add(BAD, **dqn), add(SAME, changes={"spike.dialogues": 20})]
-    table, remark = pair_parts(read_groups(runs))
-    (worse, same) = table.rows
-    assert (worse["minus BBQN-MAP"], worse["pairs"]) == ("DQN", 5)
-    assert same["minus BBQN-MAP"] == "BBQN-MAP, spike.dialogues=20"
-    interval = stats.ttest_rel(BAD, GOOD).confidence_interval()
-    assert (worse["final success"].low, worse["final success"].high) == pytest.approx(interval)
-    raw = [stats.ttest_rel(other, GOOD).pvalue for other in (BAD, SAME)]
-    assert worse["final success: p"] == pytest.approx(2 * raw[0])  # the smaller of two
-    assert same["final success: p"] == pytest.approx(max(raw[1], 2 * raw[0]))
-    assert worse["evaluated"] == worse["booked after 1,000"] == "–"
-    assert "spike.dialogues (20, 100)" in remark
 
 
 def test_a_report_is_printed_and_written_in_sections_of_a_key(add, report, tmp_path):

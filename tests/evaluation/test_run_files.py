@@ -2,22 +2,18 @@
 
 import dataclasses
 import math
-from itertools import chain
 
 import numpy as np
 import pytest
 from result_folders import metrics_text, run_result
 
 from bbq_torchrl.evaluation.curves import read_metrics
-from bbq_torchrl.evaluation.finished_runs import read_runs
-from bbq_torchrl.evaluation.groups import read_groups
 from bbq_torchrl.evaluation.run_result import (
     read_result,
     replica_result,
     training_evaluation,
     write_json,
 )
-from scripts import keep_result
 
 
 def test_a_run_is_the_mean_of_its_replicas_and_they_of_their_dialogues():
@@ -93,28 +89,3 @@ def test_training_success_counts_dialogues_and_what_a_round_has_not_is_nan(read)
     assert metrics["eval_success_rate"][:, 0].tolist() == pytest.approx(
         [math.nan, 0.25], nan_ok=True
     )
-
-
-def test_the_table_of_an_experiment_is_read_as_its_runs_are(add, tmp_path):
-    folders = [
-        add([0.5, 0.7], eval_every=1),
-        add([0.6, 0.4], agent="dqn", changes={"env.deep": None}),
-        add([0.9, 0.8], seed=1, eval_every=1),
-    ]
-    for number, folder in enumerate(folders):
-        (folder / ".hydra").mkdir()
-        (folder / ".hydra" / "overrides.yaml").write_text(f"- seed={number}\n")
-        keep_result.keep(folder, tmp_path / "table", f"run/{number}")
-        content = (tmp_path / "table" / "metrics.csv.xz").read_bytes()
-        keep_result.keep(folder, tmp_path / "table", f"run/{number}")  # again
-        assert (tmp_path / "table" / "metrics.csv.xz").read_bytes() == content
-    table = read_runs(tmp_path / "table")
-    assert len(table) == 6
-    for kept, own in zip(table, chain(*map(read_runs, folders)), strict=True):
-        assert kept.result == own.result
-        assert kept.setting == own.setting
-        assert kept.member == own.member
-        assert {*kept.metrics.columns} == {*own.metrics.columns}
-        for name, column in own.metrics.columns.items():
-            np.testing.assert_array_equal(kept.metrics[name], column)
-    assert [len(group.final) for group in read_groups([tmp_path / "table"])] == [4, 2]
