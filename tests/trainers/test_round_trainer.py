@@ -147,13 +147,13 @@ def test_the_learning_rate_falls_after_its_share_of_the_rounds(tmp_path):
 
 
 def test_what_the_parts_must_not_do_ends_the_first_round(tmp_path):
-    doubled, lacking = (make_trainer(tmp_path, rounds=1, spike=None) for _ in range(2))
+    doubled, lacking = (make_trainer(tmp_path / n, rounds=1, spike=None) for n in ("a", "b"))
     doubled.round_metrics = {"td_error": lambda: 3.0}
     lacking.env = TransformedEnv(lacking.env, ExcludeTransform("success"))
     for trainer, name in ((doubled, "td_error"), (lacking, "success")):
         with pytest.raises((TrainingError, TypeError), match=f"'?{name}'?"):
             trainer.train()
-        assert not (tmp_path / "metrics.csv").exists()
+        assert not trainer.metrics.path.exists()
 
 
 def test_a_folder_that_contains_a_run_is_not_overwritten(tmp_path):
