@@ -91,34 +91,26 @@ def first_cells(heading):
 
 
 CHOICES = (["explore=thompson_epsilon"], ["explore=boltzmann", "intrinsic=vime"])
-OF_A_CHOICE = {
-    "epsilon",
-    "temperature",
-    "intrinsic_reward",
-    "dynamics_loss",
-    "dynamics_kl",
-    "<group>.<key>",
-}
 
 
-@pytest.fixture(scope="module", params=CHOICES, ids=" ".join)
-def run_folder(request, tmp_path_factory, without_curves):
-    """The folder of a tiny run; between them, the two have every column there is."""
-    folder = tmp_path_factory.mktemp("run")
-    run(composed(*request.param, *TINY, "protocol.rounds=1"), folder)
-    return folder
+@pytest.fixture(scope="module")
+def run_folders(tmp_path_factory, without_curves):
+    """The folders of tiny runs, which have every column there is."""
+    folders = [tmp_path_factory.mktemp("run") for _ in CHOICES]
+    for folder, chosen in zip(folders, CHOICES, strict=True):
+        run(composed(*chosen, *TINY, "protocol.rounds=1"), folder)
+    return folders
 
 
-def test_every_column_is_explained(run_folder):
-    with (run_folder / "metrics.csv").open(encoding="utf-8") as file:
-        columns = set(next(csv.reader(file)))
-    documented = first_cells("### metrics.csv")
-    assert columns <= documented
-    assert documented - columns <= OF_A_CHOICE
+def test_every_column_is_explained(run_folders):
+    files = [(folder / "metrics.csv").read_text(encoding="utf-8") for folder in run_folders]
+    columns = {name for file in files for name in next(csv.reader(file.splitlines()))}
+    assert columns == first_cells("### metrics.csv") - {"<group>.<key>"}
 
 
-def test_every_file_is_explained(run_folder):
+def test_every_file_is_explained(run_folders):
     documented = {name.rstrip("/") for name in first_cells("## The run folder")}
-    assert {path.name for path in run_folder.iterdir()} <= documented
+    made = {path.name for folder in run_folders for path in folder.iterdir()}
     # Hydra's own are there only in runs from the command line.
-    assert documented - {path.name for path in run_folder.iterdir()} == {".hydra", "train.log"}
+    assert documented - made == {".hydra", "train.log"}
+    assert made <= documented

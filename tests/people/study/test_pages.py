@@ -57,7 +57,7 @@ def test_no_answer_names_agent_weights_or_values(site):
 
 def test_hostile_text_is_stored_and_shown_as_text(site):
     link = site.enroll()
-    for text in (*HOSTILE, "nul\x00inside", "lone \ud800 surrogate"):
+    for text in (*HOSTILE, "nul\x00inside", "lone \ud800 surrogate", "🎬" * 1_000):
         page = site.client.post(
             f"{link}/say",
             content=urlencode(site.form(link, text=text), errors="surrogatepass"),
