@@ -1,6 +1,5 @@
 """Two processes on one run folder: one works, the other is refused in a line, nothing is lost."""
 
-import re
 import signal
 
 import pytest
@@ -14,9 +13,9 @@ NAME = "vime"
 
 
 @pytest.fixture
-def place(commands, request):
+def place(tmp_path):
     """The run folder of both processes."""
-    return commands.folder / re.sub(r"\W+", "-", request.node.name)
+    return tmp_path / "run"
 
 
 @pytest.fixture

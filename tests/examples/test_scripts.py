@@ -147,14 +147,3 @@ def test_an_agent_in_tandem_with_itself_learns_what_the_active_one_does(example,
     learned = active.learner.loss.state_dict()
     assert_close(learned, passive.learner.loss.state_dict(), rtol=0, atol=0)
     assert any(not torch.equal(value, begun[key]) for key, value in learned.items())
-
-
-@pytest.mark.slow
-def test_the_file_has_a_line_for_each_agent_evaluation_and_replica(example, tmp_path, monkeypatch):
-    file = tmp_path / "tandem.csv"
-    monkeypatch.setattr(sys, "argv", ["tandem.py", f"--file={file}", *TANDEM, "protocol.rounds=1"])
-    example["main"]()
-    lines = rows(file)
-    assert [(line["agent"], line["rounds"], line["replica"]) for line in lines] == [
-        (agent, "1", replica) for agent in ("bbqn_map", "dqn") for replica in ("0", "1")
-    ]

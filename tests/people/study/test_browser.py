@@ -1,6 +1,5 @@
 """The study in a real browser: Debian's Chromium, driven by Playwright."""
 
-import re
 import shutil
 
 import pytest
@@ -62,26 +61,6 @@ def say(page, text):
     page.get_by_label("Your message").fill(text)
     page.get_by_role("button", name="Send").click()
     page.wait_for_load_state()
-
-
-def test_the_keyboard_alone_is_enough(visit):
-    page = visit()
-    page.keyboard.type("city=philly")  # the message field has the focus
-    page.keyboard.press("Enter")
-    page.wait_for_selector("li.it")
-    page.keyboard.type("bye")
-    page.keyboard.press("Enter")
-    page.wait_for_selector("fieldset")
-    page.keyboard.press("Tab")  # the goal card, which Space would close
-    page.keyboard.press("Tab")
-    page.keyboard.press("Space")
-    for _ in SCALES:
-        page.keyboard.press("Tab")
-        page.keyboard.press("Space")
-        page.keyboard.press("ArrowRight")
-    page.keyboard.press("Tab")
-    page.keyboard.press("Enter")
-    playwright.expect(page).to_have_title(re.compile("^Conversation 2"))
 
 
 def in_sight(page, selector):

@@ -5,34 +5,28 @@ from itertools import pairwise
 
 import pytest
 
-from bbq_torchrl.people.study.storage import assignments, williams_rows
+from bbq_torchrl.people.study.storage import assignments
+
+AGENTS = {"a": 1, "ab": 2, "abc": 6, "abcd": 4, "abcde": 10, "abcdef": 6, "abcdefghij": 10}
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 4, 5, 6, 7, 10])
-def test_each_treatment_stands_in_each_place_and_follows_each_other_equally_often(count):
-    rows = williams_rows(count)
-    for place in range(count):
-        assert len(set(Counter(row[place] for row in rows).values())) == 1
-    assert all(sorted(row) == list(range(count)) for row in rows)
-    follows = Counter(pair for row in rows for pair in pairwise(row))
-    assert len(follows) == count * (count - 1)
-    assert set(follows.values()) <= {len(rows) // count}
-
-
-@pytest.mark.parametrize(("agents", "repeats"), [("abc", 1), ("abcd", 2), ("abcdef", 1), ("a", 3)])
-def test_a_block_of_people_has_every_row_once(agents, repeats):
-    size, sessions = len(williams_rows(len(agents))), len(agents) * repeats
-    goals = range(1, 51)
+@pytest.mark.parametrize("repeats", [1, 3])
+@pytest.mark.parametrize("agents", AGENTS)
+def test_in_a_block_each_agent_has_each_place_and_follows_each_other_equally_often(agents, repeats):
+    size, count = AGENTS[agents], len(agents)
     for block in range(3):
-        plans = [
-            assignments(place, list(agents), goals, sessions, "seed")
-            for place in range(block * size, (block + 1) * size)
-        ]
-        first = {"".join(agent for agent, _ in plan[: len(agents)]) for plan in plans}
-        assert len(first) == size
+        places = range(block * size, (block + 1) * size)
+        plans = [assignments(n, list(agents), range(1, 51), count * repeats, "x") for n in places]
         for plan in plans:
-            assert set(Counter(agent for agent, _ in plan).values()) == {repeats}
-            assert len({goal for _, goal in plan}) == sessions
-            order = "".join(agent for agent, _ in plan)
-            rows = {order[start:][: len(agents)] for start in range(0, sessions, len(agents))}
-            assert len(rows) == min(repeats, size)
+            order = [agent for agent, _ in plan]
+            rounds = {tuple(order[start : start + count]) for start in range(0, len(order), count)}
+            assert len(rounds) == min(repeats, size)  # nobody has an order twice
+            assert all(sorted(agents) == sorted(row) for row in rounds)
+            assert len({goal for _, goal in plan}) == len(plan)
+        first = [[agent for agent, _ in plan[:count]] for plan in plans]
+        assert len(set(map(tuple, first))) == size
+        for agents_there in zip(*first, strict=True):
+            assert set(Counter(agents_there).values()) == {size // count}
+        follows = Counter(pair for row in first for pair in pairwise(row))
+        assert len(follows) == count * (count - 1)
+        assert set(follows.values()) <= {size // count}
