@@ -116,14 +116,6 @@ def train_with(tmp_path):
     return trained
 
 
-def test_the_strategy_of_two_files_is_an_option_of_a_folder(train_with):
-    option = printed(AGENT, "python", '"""``explore=ucb``')
-    policy = printed(AGENT, "python", '"""An upper confidence bound')
-    option = option.replace("bbq_extending.ucb_policy", "ucb_policy")
-    files = {"ucb.py": option, "ucb_policy.py": policy}
-    train_with(files, "explore=ucb", "spike.dialogues=2", "env.max_turn=8")
-
-
 def test_the_loss_of_ones_own_is_an_option_of_a_folder(train_with):
     option = printed(AGENT, "python", '"""``agent=conservative``')
     loss = printed(AGENT, "python", '"""The TD error, and a penalty')

@@ -1,7 +1,5 @@
 """An agent's values of its actions, and its reasons."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 

@@ -1,7 +1,5 @@
 """Replies of people to an agent that learned nothing, in their own words."""
 
-from __future__ import annotations
-
 from itertools import count
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Success for people: the rule case by case, and against the simulator's."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

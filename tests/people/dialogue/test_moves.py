@@ -1,7 +1,5 @@
 """Moves made with words alone: accepting an offer, and taking wishes back."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

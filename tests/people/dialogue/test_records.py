@@ -1,7 +1,5 @@
 """The nearest records to a person's wishes, in domains with hardly any."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 
 import pytest

@@ -1,7 +1,5 @@
 """One value in several spellings: heard, looked up, offered and judged as one."""
 
-from __future__ import annotations
-
 from dataclasses import replace
 from types import SimpleNamespace
 

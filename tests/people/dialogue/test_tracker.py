@@ -1,7 +1,5 @@
 """An agent sees the same in a chat as in the simulator."""
 
-from __future__ import annotations
-
 import pytest
 import torch
 from study.simulated import Dialogues
