@@ -122,10 +122,8 @@ def test_any_integer_is_a_number_of_replicas(replicas):
     [
         ("prior_std", lambda: BayesMLP(3, 2, prior_std=math.inf)),
         ("std_init", lambda: BayesMLP(3, 2, std_init=torch.tensor([0.5, math.nan]), replicas=2)),
-        ("prior_std", lambda: BayesMLP(3, 2, prior_std="fanin")),
         ("mean_init", lambda: BayesMLP(3, 2, mean_init=0.0)),
         ("prior_std", lambda: BayesMLP(3, 2, (), prior_std=torch.ones(3), replicas=2)),
-        ("std_init", lambda: BayesMLP(3, 2, (), std_init=torch.ones(3), replicas=2)),
         ("prior_std", lambda: GaussianPosterior([3, 4, 5], [0.1, 0.2])),
         ("prior_std", lambda: GaussianPosterior([2, 2], [torch.ones(2)] * 2, replicas=2)),
         ("kl", lambda: GaussianPosterior([3], 1.0).sample_with_kl("mc")),

@@ -28,28 +28,6 @@ def test_heads_learn_from_their_share_independently(prob):
         assert (covariance.abs() <= 6 * error).all()
 
 
-def test_masks_do_not_depend_on_padding_calls_or_the_other_replicas():
-    """The n-th valid transition gets the n-th draw of its seed, whatever surrounds it."""
-    alone = []
-    for seed in (3, 4):
-        single = BootstrapMask(5)
-        single.set_seeds([seed])
-        alone.append(masks(single, 9))
-    assert not torch.equal(*alone)
-
-    transform = BootstrapMask(5, replicas=(2,))
-    transform.set_seeds([3, 4])
-    valid = torch.ones(2, 12, dtype=torch.bool)
-    valid[0, 4:] = False  # padded at the end
-    valid[1, [0, 3, 7]] = False  # or anywhere
-    first = masks(transform, 2, 12, valid=valid)
-    late = (torch.arange(7) < 5) & torch.tensor([[True], [False]])
-    second = masks(transform, 2, 7, valid=late.unsqueeze(-1))
-    assert not first[~valid].any()
-    assert torch.equal(torch.cat([first[0, :4], second[0, :5]]), alone[0])
-    assert torch.equal(first[1, valid[1]], alone[1])
-
-
 def test_a_mask_that_is_there_stays_and_takes_no_number():
     transform = BootstrapMask(4)
     state = transform.generator_state.clone()

@@ -174,7 +174,7 @@ def masks_of(seed, count):
     return mask.inv(TensorDict(batch_size=[count]))["bootstrap_mask"]
 
 
-def test_every_part_adds_what_is_stored_and_changes_what_is_read():
+def test_every_part_adds_what_is_stored_by_each_replicas_seed_and_changes_what_is_read():
     replay = replay_with()
     replay.seed([7, 8])
     replay.extend([rows(0, 5), rows(0, 2)])
@@ -220,7 +220,6 @@ def test_a_state_of_another_transform_is_refused(transforms):
         ),
         (lambda replay: replay.protect(), "capacity"),
         (lambda replay: ReplicaReplay(5).epoch(2), "replica"),
-        (lambda replay: ReplicaReplay(5).compute("x", abs), "replica"),
         (lambda replay: replay.load_state_dict(filled(1).state_dict()), "replicas"),
         (lambda replay: replay.load_state_dict(filled(9, 9).state_dict()), "capacity"),
     ],

@@ -19,13 +19,6 @@ def test_rule_policy_is_the_eight_turns_of_the_reference_setting(movie):
     assert movie.policies["rule_inform"] == ScriptedPolicySpec("script", requests + told + end)
 
 
-def test_an_action_reads_as_act_and_slot():
-    assert str(Action("thanks")) == "thanks"
-    assert str(Action("multiple_choice", "city")) == "multiple_choice(city)"
-    with pytest.raises(ValueError, match=r"deny\(city\)"):
-        Action("deny", "city")
-
-
 def test_action_index_names_the_actions_where_there_is_no_such_one(restaurant):
     assert restaurant.actions[restaurant.action_index("inform(area)")].slot == "area"
     with pytest.raises(ValueError, match=r"request\(moviename\).*restaurant.*request\(cuisine\)"):

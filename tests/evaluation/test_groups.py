@@ -5,7 +5,7 @@ import torch
 from tiny import composed
 
 from bbq_torchrl.evaluation.finished_runs import agent_name
-from bbq_torchrl.evaluation.groups import adjusted, pair, read_groups, references
+from bbq_torchrl.evaluation.groups import pair, read_groups, references
 from bbq_torchrl.runs.train import build_trainer
 
 
@@ -165,17 +165,3 @@ def test_pairs_name_the_keys_that_change_the_dialogues_and_need_the_same_random_
     found = compared(add(GOOD), add(BAD, **DQN, **settings))
     assert (found.pairs, found.different) == (pairs, different)
     assert bool(found.differences) == (pairs > 0)
-
-
-def test_only_seeds_with_a_partner_count(add):
-    values = [{"agent.prior_std": std} for std in (0.05, 0.2)]
-    run = add([0.5, 0.6], values=values, prior_std=[0.05, 0.2])
-    small, large, dqn = read_groups([run, add([0.25, 0.5], **DQN)])
-    assert pair(small, large).pairs == 0
-    assert pair(small, dqn).differences["final"] == [0.25]
-    assert pair(large, dqn).differences["final"] == pytest.approx([0.1])
-
-
-def test_p_values_count_comparisons_that_were_not_run():
-    alone, with_others = adjusted([[0.1, 0.2, 0.3]]), adjusted([[0.1, 0.2, 0.3], (), [0.5]])
-    assert with_others == pytest.approx([3 * alone[0], 1, 1])

@@ -1,7 +1,6 @@
 """Statistics over seeds agree with their closed forms and with SciPy."""
 
 import math
-from itertools import product
 
 import numpy as np
 import pytest
@@ -12,8 +11,6 @@ from bbq_torchrl.utils.statistics import (
     estimate,
     estimate_iqm,
     interquartile_mean,
-    pass_k,
-    probability_of_improvement,
     stratified,
     t_test,
 )
@@ -71,22 +68,6 @@ def test_differences_that_are_all_equal_need_no_test():
 
 def drawn(*shape, seed=0):
     return np.random.default_rng(seed).random(shape).round(1)  # with ties
-
-
-def test_pass_k_needs_k_plays_of_a_goal():
-    assert np.isnan(pass_k([[3, 1]], [[3, 3]], 4)).all()
-    assert pass_k([3, 4], [3, 4], 4) == 1
-
-
-def test_probability_of_improvement_counts_pairs_of_runs():
-    one, other = drawn(3, 6), drawn(3, 4, seed=1)
-    by_hand = [
-        np.mean([(a > b) + 0.5 * (a == b) for a, b in product(mine, theirs)])
-        for mine, theirs in zip(one, other, strict=True)
-    ]
-    found = probability_of_improvement(one, other)
-    assert found == pytest.approx(np.mean(by_hand))
-    assert found + probability_of_improvement(other, one) == pytest.approx(1)
 
 
 def test_a_stratified_interval_is_that_of_the_percentile_bootstrap():

@@ -111,19 +111,6 @@ def test_heads_are_uniform_and_independent_between_rows_and_dialogues(redrawn):
         assert chisquare(counts.numpy()).pvalue > 1e-7
 
 
-def test_when_a_row_begins_does_not_change_what_the_others_draw():
-    drawn = []
-    for others_begin in (False, True):
-        torch.manual_seed(0)
-        policy, td = BootstrapSampling(fixed(1000)), bare(3, 8)
-        for step in range(6):
-            td["is_init"][1] = step % 2 == 0
-            td["is_init"][0] = others_begin
-            heads = heads_used(policy, td)
-        drawn.append(heads[1:])
-    assert torch.equal(*drawn)
-
-
 def test_it_acts_greedily_on_its_head_among_legal_actions():
     actor, td = heads_actor(), observations(60, same=False)
     policy = BootstrapSampling(actor)

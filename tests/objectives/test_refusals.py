@@ -16,13 +16,10 @@ from bbq_torchrl.objectives import BBQNLoss, DropoutDQNLoss, NoisyDQNLoss
     [
         (bayes_loss, {"target": "mean"}),
         (bayes_loss, {"target_noise": "shared"}),
-        (bayes_loss, {"target_noise": "independent"}),
         (bayes_loss, {"target_noise": "mean", "target": "mc"}),
         (bayes_loss, {"kl": "none"}),
         (bayes_loss, {"noise_std": 0.0}),
-        (bayes_loss, {"kl_temperature": -1}),
         (bayes_loss, {"gamma": torch.ones(2)}),
-        (plain_loss, {"gamma": -0.5}),
         (plain_loss, {"gamma": 1.5}),
         (heads_loss, {"loss_function": "huber"}),
         (plain_loss, {"action_space": "binary"}),

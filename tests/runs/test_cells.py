@@ -5,13 +5,16 @@ from itertools import cycle, product
 
 import pytest
 import tiny
+import torch
 from tiny import TINY, nightly, rows
 from torch.testing import assert_close
 
 from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation.curves import read_metrics
-from bbq_torchrl.options import explorations, schemas
-from bbq_torchrl.runs.train import make_agent, run
+from bbq_torchrl.options import Task, explorations, schemas
+from bbq_torchrl.runs.train import build_trainer, make_agent, run
+from bbq_torchrl.trainers import losses_of
+from benchmarks.parts.host_waits import NeverWaits, drawn_as_on_a_device
 
 SHRUNKEN = (*TINY, "spike.policy=random", "replicas=2")
 EXTENSION = ("env.start=1", "env.every=1")
@@ -32,6 +35,7 @@ CELLS = {
 CELLS |= {
     "GP": ("env=domain_ext", "agent=gp", "agent.inducing=8", "explore.per=episode"),
     "BBQN-MC": ("env=domain_ext", "agent.target=mc"),
+    "sampled KL": ("env=full", "agent.kl=sampled"),
     "shared target noise": ("env=domain_ext", "agent.target=mc", "agent.target_noise=shared"),
     "separate networks with priors": (
         *("env=domain_ext", "agent=bootstrap", "agent.trunk_layers=0"),
@@ -87,6 +91,39 @@ def test_a_cell_trains_at_once_or_resumed_bitwise_the_same_and_evaluates(cell, t
     line = evaluate.evaluation(evaluate.composed([f"policy={parts}", "dialogues=6", "batch=6"]))
     assert line["dialogues"] == 12
     assert 0 <= line["success_rate"] <= 1
+
+
+# A Gaussian process is fitted, not updated.
+UPDATED = [cell for cell in CELLS if "gp" not in cell.lower()]
+WAITING = ("bootstrap-bootstrap-full-none", "BBQN-MC", "dqn-noisy-domain_ext-none")
+
+
+@pytest.mark.filterwarnings("ignore:No target network updater")  # on a device without numbers
+@pytest.mark.parametrize("cell", nightly(UPDATED, WAITING))
+def test_a_cells_updates_never_wait_and_find_all_on_their_device(cell, tmp_path):
+    config = composed(*CELLS[cell], "protocol.batch_size=6", "env.max_turn=16")
+    trainer, _ = build_trainer(config, tmp_path)
+    with drawn_as_on_a_device():
+        trainer.begin()
+        trainer.train_round()
+        with NeverWaits():
+            trainer.learner.update_all(1)
+
+    trainer.learner.compute_targets()
+    batch = trainer.replay.epoch(8)[0].transitions.to("meta")
+    # Tensors on the device "meta" have no numbers: whatever asks for one, or mixes them with
+    # tensors of the CPU, fails.
+    env, device = trainer.env, torch.device("meta")
+    task = Task(env.layout.size, env.action_spec_unbatched, replicas=2, rounds=2, device=device)
+    q_loss = config.agent.make_loss(config.agent.make_actor(task), task)
+    loss, _ = config.intrinsic.make(q_loss, task)
+    for part in losses_of(loss):
+        if hasattr(part, "set_num_data"):
+            part.set_num_data(10)
+    with NeverWaits():
+        sum(part(batch)["loss"] for part in losses_of(loss)).backward()
+    gradients = [p.grad for p in loss.parameters() if p.requires_grad]
+    assert {gradient.device for gradient in gradients} == {device}
 
 
 def test_an_intrinsic_reward_is_learned_from_and_never_reported(tmp_path):

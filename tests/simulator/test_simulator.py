@@ -89,10 +89,7 @@ def test_memory_grows_with_the_records_and_not_with_their_square(movie):
     ("make", "message"),
     [
         (lambda domain: Simulator(domain, max_turn=1), "max_turn .* 1"),
-        (lambda domain: Simulator(domain, max_turn=3.5), r"max_turn .* 3\.5"),
-        (lambda domain: Simulator(domain, max_turn=NAN), "max_turn .* nan"),
         (lambda domain: ErrorModel(domain, 1.5), r"slot_error_prob .* 1\.5"),
-        (lambda domain: ErrorModel(domain, NAN), "slot_error_prob .* nan"),
         (lambda domain: ErrorModel(domain, 0.1, "typo"), "slot_error_mode .*'typo'"),
         (lambda domain: ErrorModel(domain, intent_error_prob=-0.1), r"intent_error_prob .* -0\.1"),
         (lambda _: Rewards(success=NAN), "success .* nan"),

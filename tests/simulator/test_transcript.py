@@ -45,13 +45,6 @@ def test_a_dialogue_reads_as_acts_with_slots_and_values():
     assert scene.say("thanks") == ["agent: thanks", "user: closing request(ticket)"]
 
 
-def test_the_act_comes_before_what_belongs_to_another():
-    scene = Scene(constraint="date")
-    _, corrected = scene.say("inform(city)")  # most of today's showings are in Seattle
-    assert corrected == "user: inform(city=boston) request(theater)"
-    assert scene.say("greeting")[1] == "user: inform request(theater)"
-
-
 def test_what_was_misheard_is_shown_beside_what_was_meant():
     scene = Scene(constraint="date")
     deny = CINEMA.acts.index("deny") / len(CINEMA.acts) + 0.01

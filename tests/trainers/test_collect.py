@@ -127,7 +127,6 @@ def test_without_one_the_newest_successes_stay_until_others_are_there():
     replay, loaded = (ReplicaReplay(150, replicas=3, successes=2) for _ in range(2))
     env = GuessEnv(3, 20)
     env.set_seed(0)
-    torch.manual_seed(0)
 
     def successes(policy):
         collect_dialogues(replay, env, policy, 20, max_steps=9)
@@ -141,6 +140,3 @@ def test_without_one_the_newest_successes_stay_until_others_are_there():
     for _ in range(4):  # 140 turns each
         left = successes(lambda td: td.set("action", torch.ones(td.batch_size).long()))
     assert left == [own[-2:] for own in first]
-    for _ in range(9):
-        newer = successes(random_policy)
-    assert all(len(own) > 2 and left[i][0] not in own for i, own in enumerate(newer))

@@ -14,7 +14,6 @@ from torchrl.envs import ExcludeTransform, TransformedEnv
 from trainer_parts import CountingLoss, GuessEnv, make_trainer
 
 from bbq_torchrl.exploration import BatchedEGreedy
-from bbq_torchrl.options import ProtocolOption
 from bbq_torchrl.trainers import Learner, TrainingError
 from bbq_torchrl.utils.seeds import derive_seed
 from bbq_torchrl.vime import vime_losses
@@ -124,26 +123,25 @@ def test_seeds_differ_by_run_and_path_and_stay_the_same_in_every_version():
     assert derive_seed(7, "collect", 3) == 3145391869347424827
 
 
-def test_the_learning_rate_falls_after_its_share_of_the_rounds(tmp_path):
-    def weights_after(name, *stops, **protocol):
-        """The weights after each of the rounds in which the training stops."""
-        seen = []
-        for stop in stops:
-            trainer = make_trainer(tmp_path / name, rounds=4, checkpoint_every=1, **protocol)
-            trainer.begin(resume=bool(seen))
-            while trainer.rounds_done < stop:
-                trainer.train_round()
-            seen.append(trainer.learner.optimizer.parameters[0].detach().clone())
-        return seen
+def test_a_round_learns_at_its_share_of_the_rate_also_where_it_is_resumed(tmp_path):
+    def trainer():
+        return make_trainer(tmp_path, rounds=3, checkpoint_every=1, lr_share=shares.__getitem__)
 
-    lr_share = ProtocolOption(rounds=4, lr_final=0.0, lr_decay_from=0.5).lr_share
-    constant = weights_after("constant", 2, 4)
-    falls = weights_after("falls", 2, 3, 4, lr_share=lr_share)
+    def weights_of(trainer):
+        return trainer.learner.optimizer.parameters[0].detach().clone()
 
-    assert torch.equal(falls[0], constant[0])
-    assert not torch.equal(falls[1], falls[0])  # at half of the rate
-    assert torch.equal(falls[2], falls[1])  # at 0: nothing moves in the last round
-    assert not torch.equal(constant[1], falls[2])
+    shares = [1.0, 0.5, 0.0]
+    first = trainer()
+    first.begin()
+    seen = [weights_of(first)]
+    for _ in range(2):
+        first.train_round()
+        seen.append(weights_of(first))
+    resumed = trainer()
+    resumed.train(resume=True)
+    assert not torch.equal(seen[0], seen[1])
+    assert not torch.equal(seen[1], seen[2])
+    assert torch.equal(seen[2], weights_of(resumed))  # at 0 nothing moves
 
 
 def test_what_the_parts_must_not_do_ends_the_first_round(tmp_path):

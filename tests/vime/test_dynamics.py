@@ -54,18 +54,6 @@ def test_statistics_do_not_drift_far_from_the_origin():
     assert dynamics.std.item() == pytest.approx(x.double().std().item(), rel=1e-2)
 
 
-def test_a_replica_without_rows_keeps_its_statistics_bitwise():
-    dynamics = model((2,))
-    statistics = (dynamics.mean, dynamics.var, dynamics.count)
-    before = [each.clone() for each in statistics]
-    x = torch.randn(2, 5, S)
-    x[1] = torch.nan
-    dynamics.update_statistics(x, torch.tensor([[True] * 5, [False] * 5]))
-    for now, then in zip(statistics, before, strict=True):
-        assert torch.equal(now[1], then[1])
-        assert not torch.equal(now[0], then[0])
-
-
 def test_the_floor_bounds_a_feature_that_appears_for_the_first_time():
     dynamics = DynamicsModel(2, 1, std_floor=0.05)
     x = torch.zeros(10_000, 2)
