@@ -45,7 +45,8 @@ class Accepting:
         self._spelling, self._hear, self._tracking = spelling, hear, tracking
         self._acting, self._control = acting, control
         domain = spelling.domain
-        self._ticket, self._fixed = domain.ticket_slot, {*domain.essential} - {*domain.free_slots}
+        self._ticket, self._free = domain.ticket_slot, {*domain.free_slots}
+        self._fixed = {*domain.essential} - self._free
 
     def checked(self, before: Memory, reading: Understood, text: str) -> Understood:
         """Returns the meaning of a text after "..., is that right?".
@@ -85,6 +86,8 @@ class Accepting:
         # "tonight" is a date, or a time.
         own = {fold(value): slot for slot, value in proposal.items()}
         told = {own.get(fold(value), slot): value for slot, value in values_of(said.frame).items()}
+        free = {s: v for s, v in values_of(reading.frame).items() if s in self._free}
+        told = {**free, **told}
         requests = said.frame.requests
         is_meant = self._spelling.is_meant
         told |= {s: own for s, own in proposal.items() if s in told and is_meant(s, told[s], own)}

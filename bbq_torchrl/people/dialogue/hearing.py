@@ -3,12 +3,15 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from math import isnan
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.frames import ANY
 from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.language import Frame, Understood
-from bbq_torchrl.people.language.words import has_bye, is_farewell
+from bbq_torchrl.people.language.assembly import is_denied
+from bbq_torchrl.people.language.quantities import about_minutes
+from bbq_torchrl.people.language.words import has_bye, is_farewell, is_no, tokenize
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -19,7 +22,7 @@ if TYPE_CHECKING:
 DOUBTFUL = 0.5
 """The confidence below which a reading is more likely wrong than right, and its values checked."""
 _SHORT = 3  # words that may be a number and nothing else: "for two please"
-_TINY = 2  # letters of "if" and the like, which are no names
+_TINY = 2  # letters of "if" and the like, which are no names among other words
 
 
 class Hearing:
@@ -29,11 +32,17 @@ class Hearing:
         nlu: the nlu.
         spelling: the spelling of values.
         rules: the rules of the dialogue control.
+        details: the slots that few goals constrain.
     """
 
-    def __init__(self, nlu: Nlu, spelling: Spelling, rules: Collection[str]) -> None:
+    def __init__(
+        self, nlu: Nlu, spelling: Spelling, rules: Collection[str], details: Collection[str] = ()
+    ) -> None:
         self._nlu, self._spelling, self._rules = nlu, spelling, rules
-        self._domain = spelling.domain
+        self._domain, self._details = spelling.domain, details
+        phrases = spelling.lexicon.phrases.slots
+        things = (slot for slot in spelling.domain.opening_slots if slot in phrases)
+        self._things = {"one", "ones"}.union(*(phrases[slot].nouns for slot in things))
 
     def is_bare(self, frame: Frame, *acts: str) -> bool:
         """Returns whether a frame of one of some acts has no values, and asks for no slot."""
@@ -61,11 +70,23 @@ class Hearing:
             frame = replace(reading.frame, informs=self._spelling.of(values))
             return replace(reading, frame=frame)
         informed = question.informs if question is not None else {}
+        kinds = self._spelling.lexicon.kinds
+        is_short = len(text.split()) <= _SHORT
         informs, unclear = self._spelling.understood(text, values, informed, reading.unclear)
         if moves.says(text, "now"):  # "what is on right now?"
             informs = {slot: value for slot, value in informs.items() if value != "now"}
+        informs |= self._details_in(text, informs)
+        days = [value for slot, value in informs.items() if kinds.get(slot) == "date"]
+        informs = {  # "tonight" is a day, and no time as well; "nope" is no film
+            slot: value
+            for slot, value in informs.items()
+            if not (kinds.get(slot) == "time" and value in days)
+            and not (is_no(value) and moves.begins_with(text, value))
+        }
         unclear = tuple(
-            one for one in unclear if one.candidates or one.is_denied or len(one.text) > _TINY
+            one
+            for one in unclear
+            if len(one.text) > _TINY or one.is_denied or (one.candidates and is_short)
         )
         frame = replace(reading.frame, informs=informs)
         if "answers_first" in rules and {*frame.requests} - {self._domain.ticket_slot}:
@@ -185,8 +206,9 @@ class Hearing:
             asked = {slot: None for slot in asked if slot in kept}
         for slot in self._spelling.named(text, informs) if moves.says(text, "question") else ():
             if informs[slot] != ANY and self._spelling.is_vague_time(slot, informs[slot]):
-                del informs[slot]
                 asked[slot] = None
+                if moves.is_relative(informs[slot]) or isnan(about_minutes(informs[slot])):
+                    del informs[slot]  # no part of the day
         for clause in moves.questions(text):
             named = set(self._spelling.named(clause, self._domain.slots))  # "when" names two
             if named.isdisjoint(asked) and not moves.others(clause):
@@ -196,6 +218,23 @@ class Hearing:
                 asked |= dict.fromkeys(found)
         act = reading.frame.act if {*asked} == {*reading.frame.requests} else "request"
         return replace(reading, frame=Frame(act, informs, tuple(asked)))
+
+    def _details_in(self, text: str, told: Mapping[str, str]) -> dict[str, str]:
+        """Returns the details that a text names in full as such: "3D movies", "in 3D".
+
+        Args:
+            text: the text.
+            told: the values that are heard.
+        """
+        said, lexicon = tokenize(text), self._spelling.lexicon
+        found = {}
+        for slot, start, end in lexicon.full_names(said):
+            is_after = "in" in said[max(start - 1, 0) : start] or "whatever" in said[:start][-2:]
+            is_wish = is_after or not self._things.isdisjoint(said[end : end + 1])
+            if slot in self._details and slot not in told and is_wish:
+                if not is_denied(said, start, end):
+                    found[slot] = lexicon.link(slot, " ".join(said[start:end])).values[0]
+        return self._spelling.of(found)
 
     def _with_named(self, text: str, alone: Understood, reading: Understood) -> Understood:
         """Returns the reading of a reply with what it names in full: "two", "at the AMC"."""

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import yaml
 
-from bbq_torchrl.people.language.words import legible, tokenize
+from bbq_torchrl.people.language.words import SMALL, legible, tokenize
 
 if TYPE_CHECKING:
     from collections.abc import Iterator, Mapping
@@ -111,6 +111,11 @@ def beside_yes(text: str) -> str | None:
         if "?" in said or not accepts(said):
             rest.append(said[begins.end() :] if begins else said)
     return " ".join(rest) if is_yes else None
+
+
+def begins_with(text: str, words: str) -> bool:
+    """Returns whether some words are the first clause of a text, such as "nope. at seven"."""
+    return _PIECE.findall(_words(text))[0].strip(" ,.;!") == words
 
 
 def ends_in_yes(text: str) -> bool:
@@ -279,12 +284,17 @@ def _regions(clause: str) -> Iterator[str]:
 def named_slots(words: str, lexicon: Lexicon) -> list[str]:
     """Returns the slots for which some words have a noun, in the order of the words."""
     found, said = [], without_verbs(words).split() if words.strip() else []
+    phrases = {slot: lexicon.phrases.slots[slot] for slot in lexicon.slots}
+    last = {slot: of.name.lower().split()[-1] for slot, of in phrases.items()}
+    nouns = {slot: {*of.nouns, last[slot]} for slot, of in phrases.items()}
     for word in said:
         forms = {word, word.removesuffix("s"), word.removesuffix("es"), f"{word[:-3]}y"} - _VAGUE
-        for slot in lexicon.slots:
-            phrases = lexicon.phrases.slots[slot]
-            last = phrases.name.lower().split()[-1]
-            if forms & {*phrases.nouns, last} and not (word != last and last in said):
+        slots = [slot for slot in phrases if forms & nouns[slot]]
+        # "critics' rating" is no age rating
+        most = max((len(nouns[slot].intersection(said)) for slot in slots), default=0)
+        for slot in slots:
+            is_main = word == last[slot] or last[slot] not in said
+            if is_main and len(nouns[slot].intersection(said)) == most:
                 found.append(slot)
     return found
 
@@ -295,6 +305,8 @@ def named_values(words: str, held: Mapping[str, str], lexicon: Lexicon) -> list[
     for size in range(min(_LONGEST, len(parts)), 0, -1):
         for start in range(len(parts) - size + 1):
             name = " ".join(parts[start : start + size])
+            if {*name.split()} <= SMALL:  # "the" is no time in the evening
+                continue
             held_slots = [
                 slot
                 for slot in lexicon.slots

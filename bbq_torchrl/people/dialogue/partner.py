@@ -85,7 +85,7 @@ class Partner:
         self.control = Control(simulator, rules)
         minor = self.control.records.minor & ("names" in self.control.rules)
         self._details = {self.domain.slots[n] for n in minor.nonzero().flatten().tolist()}
-        self._hear = Hearing(nlu, self._spelling, self.control.rules)
+        self._hear = Hearing(nlu, self._spelling, self.control.rules, self._details)
         self._questions = Questions(self._spelling, self._hear, nlg)
         self._acting = Acting(agent, self._tracking, self.control)
         self._accepting = Accepting(
@@ -119,7 +119,8 @@ class Partner:
                     now, self._nlg.say(topic, self.domain.essential[:_MAX_NAMED], **words)
                 )
             if "answers_first" in rules and not (before.asking.is_check or moves.accepts(text)):
-                told = self._questions(record, text, words)
+                near = self._ways_out.nearest(before)
+                told = self._questions(record, text, words, near)
             question = self._question(before)
             reading = self._hear(told.rest or text, question)
             if told.text and told.rest and (named := self._elsewhere(record, told.rest)):
@@ -228,10 +229,16 @@ class Partner:
         if "drop" in rules:
             held |= before.asking.waiting.informs if before.asking.waiting else {}
             reading, dropped = self._hear.dropped(reading, text, question, held)
-        if others and not dropped:
+        lexicon = self._spelling.lexicon
+        asking = moves.sentences(text)
+        if dropped:  # "any day is fine. what else is there?"
+            asking = [one for one in asking if not moves.taken_back(one, held, lexicon)]
+        asking = [one for one in asking if moves.others(one)]
+        if others and asking:
             reading = self._hear.without_relative(reading, text, record)
             told = values_of(before.asking.joined(reading.frame))
-            state = self._acting.hear(before.state, Frame("inform", told))
+            wish = Frame("inform", told | dict.fromkeys(dropped, ANY))
+            state = self._acting.hear(before.state, wish)
             known, is_meant = {**held, **record}, self._spelling.is_meant
             changed = {s for s, v in told.items() if s not in known or not is_meant(s, v, known[s])}
             alternatives = partial(
@@ -242,16 +249,20 @@ class Partner:
                 words=words,
                 news=changed,
             )
-            found = self._others(text, alternatives)
+            found = self._others(text, asking, alternatives)
             if found is not None:
                 beside = self._questions(self._ways_out.nearest(found.memory), text, words)
-                return _led(found, beside.text) if beside.text else found
+                found = _led(found, beside.text) if beside.text else found
+                return _led(found, self._nlg.say("dropped", dropped, **words)) if dropped else found
         understood = before.asking.joined(reading.frame)
         # A question that was not heard is no plain sentence.
         is_any = moves.asks_whether_any(text)
         asked = {*reading.frame.requests} - {self.domain.ticket_slot}
         is_answered = is_any or bool(asked) or not moves.says(text, "question")
-        is_unsure = before.asking.asks(self._nlu, reading, self._ask_below)
+        # "barbie sounds ok. when is it on?" names what it asks for.
+        is_named = bool(asked) and not (reading.unclear or values_of(reading.frame))
+        is_named &= asked <= {*self._spelling.named(text, asked)}
+        is_unsure = not is_named and before.asking.asks(self._nlu, reading, self._ask_below)
         if is_unsure:
             is_question = "help" in rules and moves.says(text, "question") and "?" in text
             if is_question and not reading.unclear and self._hear.is_bare(reading.frame):
@@ -283,16 +294,17 @@ class Partner:
         names = " ".join(self._ways_out.nearest(answer.memory).values())
         if absent := {slot: value for slot, value in news.items() if value not in names}:
             answer = _led(answer, self._nlg.say("no_promise", values=absent, **words))
-        if (is_unsure or others) and (unsaid := self._unsaid(before, understood, answer)):
+        if (is_unsure or others) and (unsaid := self._unsaid(before, answer)):
             answer = _led(answer, self._nlg.say("understood", values=unsaid, **words))
         is_found = answer.acted and not answer.memory.proposal and bool(values_of(understood))
         if is_any and is_found and not absent:
             answer = _led(answer, self._nlg.say("yes", **words))
         return answer
 
-    def _others(self, text: str, alternatives: Callable[[str], Answer | None]) -> Answer | None:
-        """Returns the alternatives that each sentence of a text asks for, if any."""
-        asking = [sentence for sentence in moves.sentences(text) if moves.others(sentence)]
+    def _others(
+        self, text: str, asking: list[str], alternatives: Callable[[str], Answer | None]
+    ) -> Answer | None:
+        """Returns the alternatives that some sentences of a text ask for, if any."""
         lexicon = self._spelling.lexicon
         times = {slot for slot, kind in lexicon.kinds.items() if kind == "time"}
         named = [
@@ -339,13 +351,13 @@ class Partner:
         last = None if before.state is None else self._tracking.answered(before.state)
         return before.asking.question(last)
 
-    def _unsaid(self, before: Memory, understood: Frame, answer: Answer) -> dict[str, str]:
-        """Returns the values of an act that are news and that the answer to it does not say."""
+    def _unsaid(self, before: Memory, answer: Answer) -> dict[str, str]:
+        """Returns the values that are news and that the answer to them does not say."""
         held = self._tracking.kept(before.state)
         known, said = {**held, **before.proposal}, fold(answer.text)
         return {
             slot: value
-            for slot, value in values_of(understood).items()
+            for slot, value in values_of(answer.understood).items()
             if known.get(slot) != value and fold(value) not in said
         }
 
@@ -425,16 +437,14 @@ class Partner:
         }
         understood = replace(understood, informs={**gone, **understood.informs})
         state = self._acting.hear(before, understood)
-        if self.control.is_stuck(state):  # "What is on at the other one?" wishes no movie
-            kept = self._tracking.kept(state)
-            asked = {slot: ANY for slot in understood.requests if slot in kept}
-            free = replace(understood, informs={**asked, **understood.informs})
-            found = self._acting.hear(before, free)
-            if asked and not self.control.is_stuck(found):
-                return free, found
+        is_stuck = self.control.is_stuck(state)
+        for others in self._ways_out.otherwise(state, understood) if is_stuck else ():
+            freed = replace(understood, informs={**understood.informs, **others})
+            found = self._acting.hear(before, freed)
+            if others and not self.control.is_stuck(found):
+                return freed, found
         distance = self.control.records.best(full(state))[2]
-        others = product(informs.items(), lexicon.slots if distance else ())
-        for (slot, value), other in others:
+        for (slot, value), other in product(informs.items(), lexicon.slots if distance else ()):
             # Exactly the same name: "7 pm" is not seven people.
             link = lexicon.link(other, value)
             if other not in informs and link.is_exact and fold(link.values[0]) == fold(value):
@@ -443,6 +453,11 @@ class Partner:
                 found = self._acting.hear(before, moved)
                 if not self.control.records.best(full(found))[2]:
                     return moved, found
+        if is_stuck and (time := self._ways_out.in_time(state)):
+            timed = replace(understood, informs={**understood.informs, **time})
+            found = self._acting.hear(before, timed)
+            if not self.control.is_stuck(found):
+                return timed, found
         return understood, state
 
     def _say(self, now: Memory, sentence: str, reading: Understood | None = None) -> Answer:

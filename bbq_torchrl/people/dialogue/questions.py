@@ -56,7 +56,13 @@ class Questions:
         self._free = {*domain.free_slots, *domain.special_slots}
         self._spoken_of = {action.slot for action in domain.actions}
 
-    def __call__(self, record: Mapping[str, str], text: str, words: dict[str, Any]) -> Told:
+    def __call__(
+        self,
+        record: Mapping[str, str],
+        text: str,
+        words: dict[str, Any],
+        near: Mapping[str, str] | None = None,
+    ) -> Told:
         """Returns the answers to the questions of a text about a record.
 
         Args:
@@ -64,6 +70,8 @@ class Questions:
                 what no record can answer is answered.
             text: the person's text.
             words: what determines the words.
+            near: the values of the record that is nearest to the wishes, where none is proposed:
+                "is that theater clean?" is about its theater.
         """
         said: list[str] = []
         rest: list[str] = []
@@ -79,14 +87,14 @@ class Questions:
             about = subject.sub(r"\1 it", sentence)
             if moves.says(sentence, "question") and moves.says(sentence, "untold"):
                 found = self._nlg.say("unknown_question", **words), {}, True
-            elif record and not is_others:
-                found = self._answer(record, about, words)
+            elif not is_others and (record or self._is_unheard(sentence)):
+                found = self._answer(record or near or {}, about, words)
             else:
                 found = None
             if found is None:
                 rest.append(sentence)
                 continue
-            if found[0] not in said:
+            if not any(found[0] in one for one in said):
                 said.append(found[0])
             told |= found[1]
             is_yes &= found[2]
@@ -166,6 +174,14 @@ class Questions:
         if not (asked or reading.frame.informs) and (is_guess or not meant):
             return self._nlg.say("unknown_question", **words), {}, True
         return None
+
+    def _is_unheard(self, sentence: str) -> bool:
+        """Returns whether a sentence asks whether, and it was not heard what."""
+        if not moves.says(sentence, "whether") or moves.says(sentence, "running"):
+            return False
+        reading = self._hear(sentence, None)
+        is_bare = self._hear.is_bare(reading.frame) and not reading.unclear
+        return is_bare and (reading.frame.act == "confirm_question" or self._hear.is_unsure(reading))
 
     def _is_of(self, sentence: str, meant: Mapping[str, Sequence[str]]) -> bool:
         """Returns whether a question is of something named, as "is the 2:40 one left?"."""

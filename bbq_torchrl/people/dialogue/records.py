@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import combinations
+from math import isnan
 from typing import TYPE_CHECKING
 
 import torch
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
 
 _EVIDENCE = 8  # values of a slot with several records, each with one value of the determined slot
 _SAMPLE = 100  # values that tell a slot's kind
+_PART = 150  # minutes: "in the evening" is from 4:30 to 9:30 pm
 _RARE = 1 / 8
 """A slot that goals constrain less often than this share of the most frequent one is minor."""
 _COSTS = {"time": 1, "date": 2, "price": 2, "count": 2, "text": 3}
@@ -138,10 +140,27 @@ class Records:
         differs, lacks = (part.gather(-2, index).squeeze(-2) for part in (differs, lacks))
         return differs, lacks, distance
 
-    def is_met(self, held: Tensor) -> Tensor:
-        """Returns whether a record has all values held but details, bool ``[*B]``."""
+    def parts(self, held: Tensor) -> dict[int, Tensor]:
+        """Returns, for each part of the day held, which records have a time in it, bool ``[R]``."""
+        found = {}
+        for number, minutes in self._minutes.items():
+            middle = about_minutes(self.vocabulary[number][held[number]])
+            if minutes[held[number]].isnan() and not isnan(middle):
+                found[number] = (minutes[self._values[:, number]] - middle).abs() <= _PART
+        return found
+
+    def _misses(self, held: Tensor) -> tuple[Tensor, Tensor]:
+        """Compares, bool ``[R, S]`` twice; a part of the day has the times in it."""
         differs, lacks = self.compare(held)
-        return ~(differs | (lacks & ~self.minor)).any(-1).all(-1)
+        for number, is_in in self.parts(held).items():
+            differs[:, number] &= ~is_in
+            lacks[:, number] &= ~is_in
+        return differs, lacks
+
+    def is_met(self, held: Tensor) -> bool:
+        """Returns whether a record has all values held but details, ``[S]``."""
+        differs, lacks = self._misses(held)
+        return bool((~(differs | (lacks & ~self.minor)).any(-1)).any())
 
     def nearest(
         self,
@@ -170,9 +189,9 @@ class Records:
         Returns:
             Empty if no record differs in that way.
         """
-        differs, lacks = self.compare(held)
+        exactly, (differs, lacks) = self.compare(held)[0], self._misses(held)
         absent = (lacks & ~self.minor).sum(-1)
-        others = self.compare(self._implied(held))
+        others = self._misses(self._implied(held))
         far, nowhere = (part & self.lasting for part in others)
         cost = (differs * self._costs).sum(-1) + torch.where(absent > 1, 1e4, 10.0) * absent
         cost += _EACH * self._is_vague  # "after work" only if nothing else is as near
@@ -185,10 +204,11 @@ class Records:
         for number, minutes in self._minutes.items():
             wish = self.vocabulary[number][held[number]]
             away = minutes[self._values[:, number]] - about_minutes(wish)
-            cost += torch.where(differs[:, number], (away.abs() / 1_440).nan_to_num(1.0), 0.0)
+            cost += _EACH * (differs[:, number] & minutes[held[number]].isnan())
+            cost += torch.where(exactly[:, number], (away.abs() / 1_440).nan_to_num(1.0), 0.0)
             if slot == number and direction and not minutes[held[number]].isnan():
                 cost += torch.where(away * direction > 0, 0.0, torch.inf)
-        is_out = ~differs.any(-1) if slot is None else ~differs[:, slot]
+        is_out = ~exactly.any(-1) if slot is None else ~exactly[:, slot]
         if stays is not None:
             stays = stays & (torch.arange(len(held)) != slot)
             is_out |= ((others[0] | others[1]) & stays).any(-1)
@@ -196,7 +216,7 @@ class Records:
         place = int(cost.argmin())
         if not torch.isfinite(cost[place]):
             return {}
-        changed = differs[place].nonzero().flatten().tolist()
+        changed = exactly[place].nonzero().flatten().tolist()
         return {number: int(self._values[place, number]) for number in changed}
 
     def with_any(self, some: Iterable[Sequence[tuple[int, int]]]) -> Tensor:
@@ -238,12 +258,14 @@ class Records:
         Args:
             held: long ``[S]``, value ids.
             slot: the slot.
-            direction: 1 for later values only, -1 for earlier ones.
+            direction: 1 for later values only, -1 for earlier ones; of a part of the day only its
+                times.
         """
         others = held.clone()
         others[slot] = NONE
-        differs, lacks = self.compare(others)
+        differs, lacks = self._misses(others)
         fits = ~(differs | (lacks & ~self.minor)).any(-1) & self.has[:, slot]
+        fits &= self.parts(held).get(slot, True)
         missing = torch.where(fits, lacks.sum(-1), len(held))
         found = self._values[fits & (missing == missing.min()), slot]
         values, counts = found[found != held[slot]].unique(return_counts=True)
@@ -273,7 +295,7 @@ class Records:
         """
         changed = held.clone()
         changed[[*change]] = torch.tensor([*change.values()], dtype=torch.long)
-        distances = 2 * self._distances(*self.compare(changed)) + self._is_vague
+        distances = 2 * self._distances(*self._misses(changed)) + self._is_vague
         distances += self.with_any(refused) * (distances.max() + 1)
         absent = (self._constrains & ~self.minor & ~self.has).sum(-1)  # the date not on file
         distances = distances * (len(held) + 1) + absent
@@ -289,7 +311,7 @@ class Records:
         Args:
             held: long ``[S]``, value ids.
         """
-        differs, lacks = self.compare(held)
+        differs, lacks = self._misses(held)
         misses = differs if differs.any(-1).all() else differs | (lacks & ~self.minor)
         misses = misses if misses.any(-1).all() else differs | lacks
         slots = misses.any(0).nonzero().flatten().tolist()

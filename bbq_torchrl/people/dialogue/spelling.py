@@ -100,7 +100,9 @@ class Spelling:
         if part := _PART.search(text.lower()):  # "evening shows"
             times = (slot for slot, kind in self.lexicon.kinds.items() if kind == "time")
             links = {slot: self.lexicon.link(slot, f"in the {part[1]}") for slot in times}
-            values = {s: one.values[0] for s, one in links.items() if one.is_exact} | {**values}
+            named = {s: one.values[0] for s, one in links.items() if one.is_exact}
+            is_one = part[0].endswith(" one") and not any(map(str.isdigit, text))  # not 1 pm
+            values = {**values, **named} if is_one else {**named, **values}
         for slot, value in self.of(values).items():
             options = self._options(text, slot, value, informed.get(slot))
             if len(options) == 1 and self._has(slot, options[0]):

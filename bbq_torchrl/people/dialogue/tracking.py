@@ -240,7 +240,7 @@ class Acting:
             heard_requests=heard["heard_requests"] & is_open,
             open_requests=heard["open_requests"] & is_open,
         )
-        is_known = ((told == NONE) | (told == full(state))).all()
+        is_known = ((told < FIRST_VALUE) | (told == full(state))).all()
         return self._control.remember(heard.replace(offered=state["offered"] & is_known))
 
     def book(

@@ -4,20 +4,26 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 import torch
 
+from bbq_torchrl.domains.frames import ANY
 from bbq_torchrl.domains.values import FIRST_VALUE, NONE
 from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.exchange import Answer, values_of
 from bbq_torchrl.people.dialogue.tracking import full
 from bbq_torchrl.people.language import Frame
 from bbq_torchrl.people.language.asking import Asking
+from bbq_torchrl.people.language.generator import MAX_CHOICES
+from bbq_torchrl.people.language.quantities import about_minutes, minutes_of
 from bbq_torchrl.people.language.words import tokenize
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping, Sequence
+    from collections.abc import Collection, Iterator, Mapping, Sequence
+
+    from tensordict import TensorDict
 
     from bbq_torchrl.people.dialogue.exchange import Memory
     from bbq_torchrl.people.dialogue.records import Records
@@ -59,8 +65,8 @@ class WaysOut:
         self._free = torch.tensor([slot in domain.free_slots for slot in domain.slots])
         special = {*domain.special_slots}
         self._own = self._free & torch.tensor([slot not in special for slot in domain.slots])
-        index, asked = domain.slots.index, {action.slot for action in domain.actions}
-        names = [slot for slot in kinds if slot in asked and kinds[slot] == "text"]
+        index, self._spoken_of = domain.slots.index, {action.slot for action in domain.actions}
+        names = [slot for slot in kinds if slot in self._spoken_of and kinds[slot] == "text"]
         # The slot with the most values, as the theater, and what a dialogue is about.
         self._holder = max(names, key=lambda slot: len(records.vocabulary[index(slot)]))
         self._thing = next(iter(domain.opening_slots), self._holder)
@@ -86,16 +92,29 @@ class WaysOut:
         """
         assert now.state is not None
         informs = reading.frame.informs
+        if question is not None and not informs.keys().isdisjoint(question.requests):
+            question = Frame(question.act)  # it is answered
+        if question is not None and moves.says(text, "rest"):
+            if left := question.choices[MAX_CHOICES:]:
+                return self._several(now, reading, question.requests[0], left, words)
         way = moves.direction(text)
-        end = moves.direction(moves.others(text), "latest", "earliest")
+        end = 0 if way else moves.direction(moves.others(text), "latest", "earliest")
         told = {**self._tracking.kept(now.state), **now.proposal, **informs}
         is_wish = now.state.get("wished", full(now.state)) > 0
         # Who wished that movie means "the only theater".
         only = self._holder if is_wish[self._slots.index(self._thing)] else self._thing
-        slots, stays = self._meant(text, question, told, only, is_proposed=bool(now.proposal))
+        slots, stays = self._meant(text, question, told, only, informs, is_proposed=bool(now.proposal))
         held, records = full(now.state), self._records
+        is_told = torch.tensor([name in informs for name in self._slots])
+        # "In Detroit" is not at the one theater there.
+        is_within = records.determines[:, is_told].any(1) & ~is_told & ~records.lasting
+        is_within &= torch.tensor([name not in slots for name in self._slots])
+        # "Another time, maybe at another theater?"
+        free = {*slots[1:]} - {*slots[:1], *informs}
+        is_free = is_within | torch.tensor([name in free for name in self._slots])
+        held = torch.where(is_free, NONE, held)
         number = next((n for n in map(self._slots.index, slots) if records.is_listed(n)), None)
-        is_met = bool(records.is_met(held))
+        is_met = records.is_met(held)
         if number is None:
             if is_met and not (now.proposal or now.is_offered):
                 return None
@@ -110,7 +129,6 @@ class WaysOut:
         is_named = bool((proposed[named] != NONE).any()) and itself == now.proposal.get(slot)
         is_beside = bool(now.proposal) if way or end else is_named
         if is_beside:
-            is_told = torch.tensor([name in informs for name in self._slots])
             takes = proposed if not is_met else torch.where(named, proposed, NONE)
             takes = torch.where(is_told, NONE, takes)
             held = torch.where(takes != NONE, takes, held)
@@ -123,10 +141,7 @@ class WaysOut:
             base, found = wished, self._choices(wished, number, is_other=is_other) or found
         if len(found) > 1:
             values = tuple(records.vocabulary[number][value] for value in found)
-            sentence = self._nlg.say("several", [slot], choices=values, **words)
-            answered = Frame("multiple_choice", {}, (slot,), values)
-            now = replace(now, asking=Asking(slot=slot, choices=values), proposal={})
-            return Answer(sentence, reading, reading.frame, answered, now)
+            return self._several(now, reading, slot, values, words)
         change = {number: found[0]} if found else {}
         # The wishes stay, unless none has them all.
         fixed = records.lasting | (is_wish if is_met else named)
@@ -153,6 +168,20 @@ class WaysOut:
         change = nearest(held) or records.nearest(held, refused, asked=[number])
         return self.propose(now, reading, change, words)
 
+    def _several(
+        self,
+        now: Memory,
+        reading: Understood,
+        slot: str,
+        choices: tuple[str, ...],
+        words: dict[str, Any],
+    ) -> Answer:
+        """Returns the list of some values of a slot."""
+        sentence = self._nlg.say("several", [slot], choices=choices, **words)
+        answered = Frame("multiple_choice", {}, (slot,), choices)
+        now = replace(now, asking=Asking(slot=slot, choices=choices), proposal={})
+        return Answer(sentence, reading, reading.frame, answered, now)
+
     def _names_another(self, text: str, slot: str, value: str) -> bool:
         """Returns whether a text that asks for others then names one: "others? Dune?"."""
         asking, said = moves.others(text), " ".join(tokenize(text))
@@ -176,6 +205,7 @@ class WaysOut:
         question: Frame | None,
         told: Mapping[str, str],
         only: str,
+        informs: Collection[str],
         *,
         is_proposed: bool,
     ) -> tuple[list[str], list[str]]:
@@ -191,14 +221,18 @@ class WaysOut:
             return [*question.requests], []
         first = " ".join(moves.after_other(wanted))
         names = [*moves.named_slots(first, lexicon), *moves.named_slots(wanted, lexicon)]
-        slots = who or [s for s in names if s not in stays]
-        slots = slots or named_values(" ".join(other), told, lexicon)
+        slots = who or [s for s in names if s in self._spoken_of and s not in stays]
+        # "Anything other than Oppenheimer in 3D?"
+        excluded = named_values(" ".join(other), told, lexicon)
+        slots = slots or [slot for slot in excluded if slot not in informs]
+        slots = slots or [self._thing] * (bool(other) and not moves.direction(text))
         stays += named_values(wanted, told, lexicon)
         # Another of a chain is another theater, whose name begins with the chain's.
         begins = tuple(f"{told.get(slot)} " for slot in stays)
         slots = slots or [slot for slot, name in told.items() if name.startswith(begins)]
-        if " the only" in wanted:  # "is 7 pm the only one?"
-            slots = slots or named_values(wanted.split(" the only")[0], told, lexicon)
+        if " only" in wanted:  # "is 7 pm the only one?", "is it only on Friday?"
+            of_it = wanted.partition(" the only")[0] if " the only" in wanted else wanted
+            slots = slots or named_values(of_it, told, lexicon)
         slots = slots or [only] * moves.says(wanted, "other_one")
         is_time = moves.says(moves.others(text), "time", "latest", "earliest")
         if not slots and (is_time or moves.says(text, "later", "earlier")):
@@ -294,6 +328,39 @@ class WaysOut:
         ids = torch.tensor(self._tracking.ids(values))
         here = self._records.here(ids, torch.ones_like(ids, dtype=torch.bool))
         return {**self._tracking.values(here), **values}
+
+    def otherwise(self, state: TensorDict, understood: Frame) -> Iterator[dict[str, str]]:
+        """Yields what else an act may wish after which no record has all that is held, by slot.
+
+        What is asked for is no wish ("what is on at the other one?"), and what is told takes back
+        what is elsewhere, as a city the theater.
+
+        Args:
+            state: the state after the act.
+            understood: the act.
+        """
+        kept, told = self._tracking.kept(state), values_of(understood)
+        free = {slot: ANY for slot in understood.requests if slot in kept and slot not in told}
+        yield free
+        both = (self._pairs(told), self._pairs({s: kept[s] for s in kept.keys() - told.keys()}))
+        yield free | {
+            self._slots[one[0]]: ANY
+            for other, one in product(*both)
+            if self._records.determines[one[0], other[0]]
+            and not self._records.with_any([[one, other]]).any()
+        }
+
+    def in_time(self, state: TensorDict) -> dict[str, str]:
+        """Returns the time nearest to a part of the day held, of a record with all else, if any."""
+        held = full(state)
+        for number in self._records.parts(held):
+            names = self._records.vocabulary[number]
+            times = [names[value] for value in self._records.choices(held, number)]
+            middle = about_minutes(names[held[number]])
+            if times:
+                time = min(times, key=lambda one: abs(minutes_of(one) - middle))
+                return {self._slots[number]: time}
+        return {}
 
     def refuse(self, now: Memory) -> Memory:
         """Returns the memory after the offered record is refused."""

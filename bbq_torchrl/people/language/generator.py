@@ -20,7 +20,9 @@ from bbq_torchrl.people.language.quantities import minutes_of
 from bbq_torchrl.people.language.words import pairs, word_set
 
 _MAX_IN_CONFLICT = 4
-_MAX_CHOICES = 5
+MAX_CHOICES = 5
+"""The number of choices that a sentence names."""
+
 _NO_WISH = (ANY, NO_MATCH_TEXT, AVAILABLE_TEXT)
 
 # Values that include their preposition: "it starts after 10pm", "it is tomorrow".
@@ -211,7 +213,7 @@ class Generator:
 
     def _choices(self, slots: Sequence[str], choices: Sequence[str]) -> str:
         """Returns the first choices, of the first slot if any, and how many more there are."""
-        first = choices[:_MAX_CHOICES]
+        first = choices[:MAX_CHOICES]
         written = [self._written(slots[0], value) for value in first] if slots else first
         more = len(choices) - len(written)
         return listed([*written, f"one of {more} others"] if more > 1 else written, "or")

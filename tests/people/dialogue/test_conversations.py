@@ -78,6 +78,7 @@ IS_SO = {
     "begins": lambda _, answer, words: answer.text.startswith(words),
     "affirms": lambda _, answer, so: answer.text.startswith("Yes") == so,
     "says": lambda _, answer, words: words in answer.text,
+    "lacks": lambda _, answer, words: words not in answer.text,
     "says_any": lambda _, answer, words: any(part in answer.text for part in words),
     "names_no": lambda before, answer, slot: (
         before.answered.informs[slot] not in answer.text.lower()
