@@ -229,11 +229,12 @@ class Hearing:
         said, lexicon = tokenize(text), self._spelling.lexicon
         found = {}
         for slot, start, end in lexicon.full_names(said):
-            is_after = "in" in said[max(start - 1, 0) : start] or "whatever" in said[:start][-2:]
-            is_wish = is_after or not self._things.isdisjoint(said[end : end + 1])
-            if slot in self._details and slot not in told and is_wish:
-                if not is_denied(said, start, end):
-                    found[slot] = lexicon.link(slot, " ".join(said[start:end])).values[0]
+            before, after = said[:start][-2:], said[end : end + 1]
+            is_beside = "in" in before[-1:] or "whatever" in before
+            is_beside |= not self._things.isdisjoint(after)
+            is_told = slot in told or is_denied(said, start, end)
+            if slot in self._details and is_beside and not is_told:
+                found[slot] = lexicon.link(slot, " ".join(said[start:end])).values[0]
         return self._spelling.of(found)
 
     def _with_named(self, text: str, alone: Understood, reading: Understood) -> Understood:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from functools import partial
+from dataclasses import dataclass, replace
 from itertools import product
 from typing import TYPE_CHECKING, Any
 
@@ -25,7 +24,7 @@ from bbq_torchrl.people.language.words import is_no
 from bbq_torchrl.simulator import Simulator
 
 if TYPE_CHECKING:
-    from collections.abc import Callable, Iterable, Mapping
+    from collections.abc import Iterable, Mapping
 
     import torch
     from tensordict import TensorDict
@@ -37,6 +36,25 @@ if TYPE_CHECKING:
 _MAX_NAMED = 4
 _MAX_DENIED = 4
 """The number of refused offers after which the agent ends the conversation."""
+
+
+@dataclass(frozen=True)
+class _Turn:
+    """What a reply is made from.
+
+    Attributes:
+        before: the memory before the text.
+        record: the values of the record that is proposed or offered, if any, by slot.
+        text: the text, without the questions that are answered already.
+        words: what determines the words.
+        asks: whether the whole text asks something.
+    """
+
+    before: Memory
+    record: Mapping[str, str]
+    text: str
+    words: dict[str, Any]
+    asks: bool
 
 
 class Partner:
@@ -133,9 +151,9 @@ class Partner:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
         if not told.text:
             reading, lead = self._without_strange(reading, question, words)
-            asks = moves.says(text, "question")
-            answer = self._reply(before, record, reading, text, words, asks)
-            return _led(answer, lead) if lead else answer
+            turn = _Turn(before, record, text, words, moves.says(text, "question"))
+            answer = self._reply(turn, reading)
+            return _led(answer, lead)
         is_only = (
             not told.rest
             or (not is_about and is_no(told.rest))
@@ -146,7 +164,7 @@ class Partner:
             stands = self._nlg.say("stands", **words) if is_about else ""
             answer = self._say(now, stands, reading)
         else:
-            answer = self._reply(before, record, reading, told.rest, words, True)
+            answer = self._reply(_Turn(before, record, told.rest, words, True), reading)
         informs = {**told.values, **answer.answered.informs}
         return replace(
             answer,
@@ -163,28 +181,10 @@ class Partner:
         is_known = told.items() <= record.items() and told.keys() <= {*self.domain.essential}
         return not (told and is_known) or moves.says(text, "agrees")
 
-    def _reply(
-        self,
-        before: Memory,
-        record: Mapping[str, str],
-        reading: Understood,
-        text: str,
-        words: dict[str, Any],
-        asks: bool,
-    ) -> Answer:
-        """Returns the answer to a text with a meaning.
-
-        Args:
-            before: the memory before the text.
-            record: the values of the record that is proposed or offered, if any, by slot.
-            reading: the meaning.
-            text: the text, without the questions that are answered already.
-            words: what determines the words.
-            asks: whether the whole text asks something.
-        """
+    def _reply(self, turn: _Turn, reading: Understood) -> Answer:
+        """Returns the answer to a text with a meaning."""
+        before, text, rules = turn.before, turn.text, self.control.rules
         now = replace(before, texts=before.texts + 1)
-        question = self._question(before)
-        rules = self.control.rules
         reading = self._hear.leaving(reading, text, before.is_offered)
         is_moved = moves.direction(text) or moves.says(text, "question")
         is_wish = bool(values_of(reading.frame)) and not is_moved
@@ -192,12 +192,62 @@ class Partner:
         held = self._tracking.kept(before.state)
         if "way_out" in rules:
             reading = self._ways_out.narrowed(reading, held)
-        is_said = (
-            bool(before.proposal) or before.is_offered or others or bool(values_of(reading.frame))
-        )
-        if "drop" in rules and is_said:
+        is_about = bool(before.proposal) or before.is_offered or others
+        if "drop" in rules and (is_about or values_of(reading.frame)):
             reading, refused = self._hear.refused(reading, held)
             now = replace(now, refused=(*now.refused, *refused))
+        step = self._to_what_stands(turn, now, reading, others)
+        if isinstance(step, Answer):
+            return step
+        now, reading, others, is_booked = step
+        dropped: tuple[str, ...] = ()
+        if "drop" in rules:
+            held |= before.asking.waiting.informs if before.asking.waiting else {}
+            reading, dropped = self._hear.dropped(reading, text, self._question(before), held)
+        lead = self._nlg.say("dropped", dropped, **turn.words) if dropped else ""
+        if others:
+            reading = self._hear.without_relative(reading, text, turn.record)
+            found = self._others(turn, now, reading, held, dropped)
+            if found is not None:
+                beside = self._questions(self._ways_out.nearest(found.memory), text, turn.words)
+                return _led(_led(found, beside.text), lead)
+        understood = before.asking.joined(reading.frame)
+        is_unsure = self._is_unsure(turn, reading)
+        if is_unsure and (asked := self._asked(turn, now, reading, understood)):
+            return asked
+        now = replace(now, asking=Asking())
+        if understood.act == "closing" or understood == Frame("greeting"):
+            # Not the agent's decision: a greeting is returned, a farewell ends the conversation.
+            answered, ended = Frame(understood.act), "person" if understood.act == "closing" else ""
+            sentence = self._nlg.agent(answered, **turn.words)
+            return Answer(sentence, reading, understood, answered, now, ended=ended)
+        answer = _led(self._act(now, reading, understood, turn.words, is_booked=is_booked), lead)
+        absent = self._absent(before, understood, answer)
+        if absent:
+            answer = _led(answer, self._nlg.say("no_promise", values=absent, **turn.words))
+        if (is_unsure or others) and (unsaid := self._unsaid(before, answer)):
+            answer = _led(answer, self._nlg.say("understood", values=unsaid, **turn.words))
+        is_found = answer.acted and not answer.memory.proposal and bool(values_of(understood))
+        if moves.asks_whether_any(text) and is_found and not absent:
+            answer = _led(answer, self._nlg.say("yes", **turn.words))
+        return answer
+
+    def _to_what_stands(
+        self, turn: _Turn, now: Memory, reading: Understood, others: bool
+    ) -> Answer | tuple[Memory, Understood, bool, bool]:
+        """Returns a reading as a reply to what is checked, proposed or offered.
+
+        Args:
+            turn: the turn.
+            now: the memory.
+            reading: the meaning of the text.
+            others: whether it asks for others.
+
+        Returns:
+            An answer, or else the memory, the reading, whether it still asks for others, and
+            whether it books.
+        """
+        before, text, words, rules = turn.before, turn.text, turn.words, self.control.rules
         is_no_more = is_no(text) or self._hear.is_bare(reading.frame, "deny")
         is_booked = False
         if before.asking.is_check:
@@ -209,103 +259,90 @@ class Partner:
         elif before.proposal:
             says_yes = moves.beside_yes(text) is not None or moves.ends_in_yes(text)
             takes = not others or (says_yes and not moves.says(text, "question"))
-            if takes and (taken := self._accepting.proposed(before, record, reading, text)):
+            if takes and (taken := self._accepting.proposed(before, turn.record, reading, text)):
                 # Who has told or read all of it need not read it again.
-                is_booked = not asks and moves.accepts(text) and self._ways_out.is_whole(before)
-                reading, others = taken, False
+                is_booked = moves.accepts(text) and self._ways_out.is_whole(before)
                 now = replace(now, proposal={})
-            elif is_no_more and not others:
+                return now, taken, False, is_booked and not turn.asks
+            if is_no_more and not others:
                 return self._ways_out.alternative(now, reading, words)
-            elif "yes_ends" in rules and self._hear.is_bare(reading.frame, "thanks"):
+            if "yes_ends" in rules and self._hear.is_bare(reading.frame, "thanks"):
                 # A yes to what is proposed books nothing that was offered before.
                 return self._say(now, self._nlg.say("stands", **words), reading)
         elif before.is_offered and "yes_ends" in rules and not others:
-            reading, is_booked = self._accepting.offered(before, record, reading, text, asks)
+            reading, is_booked = self._accepting.offered(
+                before, turn.record, reading, text, turn.asks
+            )
             if reading.frame.act == "not_sure" and not reading.unclear:
                 return self._say(now, self._nlg.say("stands", **words), reading)
         elif "book" in rules and moves.accepts(text) and self._hear.is_bare(reading.frame):
             reading = replace(reading, confidence=1.0)
-        dropped: tuple[str, ...] = ()
-        if "drop" in rules:
-            held |= before.asking.waiting.informs if before.asking.waiting else {}
-            reading, dropped = self._hear.dropped(reading, text, question, held)
-        lexicon = self._spelling.lexicon
-        asking = moves.sentences(text)
-        if dropped:  # "any day is fine. what else is there?"
-            asking = [one for one in asking if not moves.taken_back(one, held, lexicon)]
-        asking = [one for one in asking if moves.others(one)]
-        if others and asking:
-            reading = self._hear.without_relative(reading, text, record)
-            told = values_of(before.asking.joined(reading.frame))
-            wish = Frame("inform", told | dict.fromkeys(dropped, ANY))
-            state = self._acting.hear(before.state, wish)
-            known, is_meant = {**held, **record}, self._spelling.is_meant
-            changed = {s for s, v in told.items() if s not in known or not is_meant(s, v, known[s])}
-            alternatives = partial(
-                self._ways_out.others,
-                replace(now, state=state),
-                reading,
-                question=question,
-                words=words,
-                news=changed,
-            )
-            found = self._others(text, asking, alternatives)
-            if found is not None:
-                beside = self._questions(self._ways_out.nearest(found.memory), text, words)
-                found = _led(found, beside.text) if beside.text else found
-                return _led(found, self._nlg.say("dropped", dropped, **words)) if dropped else found
-        understood = before.asking.joined(reading.frame)
-        # A question that was not heard is no plain sentence.
-        is_any = moves.asks_whether_any(text)
+        return now, reading, others, is_booked
+
+    def _is_unsure(self, turn: _Turn, reading: Understood) -> bool:
+        """Returns whether a reading is too poor to act on.
+
+        A question that names what it asks for is not: "barbie sounds ok. when is it on?"
+        """
         asked = {*reading.frame.requests} - {self.domain.ticket_slot}
-        is_answered = is_any or bool(asked) or not moves.says(text, "question")
-        # "barbie sounds ok. when is it on?" names what it asks for.
         is_named = bool(asked) and not (reading.unclear or values_of(reading.frame))
-        is_named &= asked <= {*self._spelling.named(text, asked)}
-        is_unsure = not is_named and before.asking.asks(self._nlu, reading, self._ask_below)
-        if is_unsure:
-            is_question = "help" in rules and moves.says(text, "question") and "?" in text
-            if is_question and not reading.unclear and self._hear.is_bare(reading.frame):
-                return self._say(now, self._nlg.say("unknown_question", **words), reading)
-            values = values_of(understood)
-            if reading.unclear or not values or "confirm" not in rules:
-                return self._ask_again(now, reading, self._nlg.clarify(reading, **words))
-            is_plain = self._spelling.is_named(text, values) and is_answered
-            if not (is_plain or before.asking.is_check) and reading.confidence < DOUBTFUL:
-                now = replace(now, asking=now.asking.checking(reading))
-                answered = Frame("not_sure", values)
-                sentence = self._nlg.say("check", values=values, **words)
-                return Answer(sentence, reading, reading.frame, answered, now)
-        now = replace(now, asking=Asking())
-        if understood.act == "closing" or understood == Frame("greeting"):
-            # Not the agent's decision: a greeting is returned, a farewell ends the conversation.
-            answered, ended = Frame(understood.act), "person" if understood.act == "closing" else ""
-            sentence = self._nlg.agent(answered, **words)
-            return Answer(sentence, reading, understood, answered, now, ended=ended)
-        answer = self._act(now, reading, understood, words, is_booked=is_booked)
-        if dropped:
-            answer = _led(answer, self._nlg.say("dropped", dropped, **words))
+        is_named &= asked <= {*self._spelling.named(turn.text, asked)}
+        return not is_named and turn.before.asking.asks(self._nlu, reading, self._ask_below)
+
+    def _asked(
+        self, turn: _Turn, now: Memory, reading: Understood, understood: Frame
+    ) -> Answer | None:
+        """Returns a question about a text that is understood poorly; ``None`` if it is plain."""
+        text, words, rules = turn.text, turn.words, self.control.rules
+        is_question = "help" in rules and moves.says(text, "question") and "?" in text
+        if is_question and not reading.unclear and self._hear.is_bare(reading.frame):
+            return self._say(now, self._nlg.say("unknown_question", **words), reading)
+        values = values_of(understood)
+        if reading.unclear or not values or "confirm" not in rules:
+            return self._ask_again(now, reading, self._nlg.clarify(reading, **words))
+        # A question that was not heard is no plain sentence.
+        is_heard = bool({*reading.frame.requests} - {self.domain.ticket_slot})
+        is_heard |= moves.asks_whether_any(text) or not moves.says(text, "question")
+        is_plain = self._spelling.is_named(text, values) and is_heard
+        if is_plain or turn.before.asking.is_check or reading.confidence >= DOUBTFUL:
+            return None
+        now = replace(now, asking=now.asking.checking(reading))
+        sentence = self._nlg.say("check", values=values, **words)
+        return Answer(sentence, reading, reading.frame, Frame("not_sure", values), now)
+
+    def _absent(self, before: Memory, understood: Frame, answer: Answer) -> dict[str, str]:
+        """Returns the wishes that are news and that the record spoken of does not have."""
         known, aside = map(self._tracking.aside, (before.state, answer.memory.state))
-        news = {
-            slot: v
-            for slot, v in aside.items()
-            if v != known.get(slot) or slot in understood.informs
-        }
         names = " ".join(self._ways_out.nearest(answer.memory).values())
-        if absent := {slot: value for slot, value in news.items() if value not in names}:
-            answer = _led(answer, self._nlg.say("no_promise", values=absent, **words))
-        if (is_unsure or others) and (unsaid := self._unsaid(before, answer)):
-            answer = _led(answer, self._nlg.say("understood", values=unsaid, **words))
-        is_found = answer.acted and not answer.memory.proposal and bool(values_of(understood))
-        if is_any and is_found and not absent:
-            answer = _led(answer, self._nlg.say("yes", **words))
-        return answer
+        return {
+            slot: value
+            for slot, value in aside.items()
+            if value not in names and (value != known.get(slot) or slot in understood.informs)
+        }
 
     def _others(
-        self, text: str, asking: list[str], alternatives: Callable[[str], Answer | None]
+        self,
+        turn: _Turn,
+        now: Memory,
+        reading: Understood,
+        held: Mapping[str, str],
+        dropped: tuple[str, ...],
     ) -> Answer | None:
-        """Returns the alternatives that some sentences of a text ask for, if any."""
-        lexicon = self._spelling.lexicon
+        """Returns the alternatives that the sentences of a text ask for, if any.
+
+        Args:
+            turn: the turn.
+            now: the memory.
+            reading: the meaning of the text.
+            held: the values told before.
+            dropped: the slots whose wishes it takes back: "any day is fine. what else is there?"
+        """
+        lexicon, is_meant = self._spelling.lexicon, self._spelling.is_meant
+        asking = [one for one in moves.sentences(turn.text) if moves.others(one)]
+        if dropped:
+            asking = [one for one in asking if not moves.taken_back(one, held, lexicon)]
+            if not asking:
+                return None
         times = {slot for slot, kind in lexicon.kinds.items() if kind == "time"}
         named = [
             {*moves.named_slots(moves.others(sentence), lexicon)}
@@ -313,15 +350,23 @@ class Partner:
             for sentence in asking
         ]
         if len(asking) < 2 or not all(named[1:]) or not named[0].isdisjoint(*named[1:]):
-            asking = [text]
-        found = [answer for answer in map(alternatives, asking) if answer is not None]
+            asking = [turn.text]
+        told, known = values_of(turn.before.asking.joined(reading.frame)), {**held, **turn.record}
+        changed = {s for s, v in told.items() if s not in known or not is_meant(s, v, known[s])}
+        wish = Frame("inform", told | dict.fromkeys(dropped, ANY))
+        now = replace(now, state=self._acting.hear(turn.before.state, wish))
+        question = self._question(turn.before)
+        alternatives = (
+            self._ways_out.others(now, reading, text, question, turn.words, changed)
+            for text in asking
+        )
+        found = [answer for answer in alternatives if answer is not None]
         if not found:
             return None
         # The last is what the next text replies to.
         *leads, last = sorted(found, key=lambda a: bool(a.memory.proposal or a.answered.choices))
         texts = [moves.without_question(answer.text) for answer in leads]
-        texts = [one for one in texts if one not in last.text]
-        return _led(last, " ".join(texts)) if texts else last
+        return _led(last, " ".join(one for one in texts if one not in last.text))
 
     def _elsewhere(self, record: Mapping[str, str], rest: str) -> dict[str, str]:
         """Returns the values by which the rest of a text names another record, to ask about it."""
@@ -487,5 +532,5 @@ class Partner:
 
 
 def _led(answer: Answer, sentence: str) -> Answer:
-    """Returns an answer that begins with another sentence."""
-    return replace(answer, text=f"{sentence} {answer.text}")
+    """Returns an answer that begins with another sentence, if that is not empty."""
+    return replace(answer, text=f"{sentence} {answer.text}") if sentence else answer

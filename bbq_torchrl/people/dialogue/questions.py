@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import dataclass
-from itertools import pairwise
+from itertools import pairwise, product
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains.frames import NO_MATCH_TEXT
@@ -121,14 +121,7 @@ class Questions:
         meant = {slot: v for slot, v in meant.items() if slot not in self._free}
         meant = {slot: v for slot, v in meant.items() if v[0] not in RESERVED_TEXT.values()}
         if is_whether and not meant:
-            said = tokenize(sentence)
-            for slot, start, end in self._spelling.lexicon.full_names(said):
-                meant[slot] = [" ".join(said[start:end])]
-            # "is it rated great?", "is it at the grove?"
-            parts = [f" {one} {other} " for one, other in pairwise(said) if other not in SMALL]
-            parts += [f" {one} " for one in said if one in record.values()]
-            known = ((slot, part) for slot in record for part in parts if not meant)
-            meant |= {slot: [part.strip()] for slot, part in known if part in f" {record[slot]} "}
+            meant = self._named_in_part(record, sentence)
         has = {slot: self._having(record, slot, values) for slot, values in meant.items()}
         is_other = moves.says(sentence, "also") or self._is_of(sentence, meant)
         if is_other and not all(has.values()):
@@ -140,26 +133,7 @@ class Questions:
         is_echo = bool(meant) and all(has.values())
         is_echo &= not (asked or moves.says(sentence.rstrip(" ?"), "question"))
         if is_detail or is_echo or (is_whether and meant):
-            told = {
-                own or slot: record[own or slot]
-                for slot, own in has.items()
-                if own or slot in record.keys() & self._spoken_of
-            }
-            if moves.says(sentence, "the_same"):
-                same = moves.named_slots(moves.same(sentence), self._spelling.lexicon)
-                told |= {slot: record[slot] for slot in same if slot in record}
-            missing = [slot for slot, own in has.items() if not own]
-            untold = {slot: meant[slot][0] for slot in missing if slot not in record}
-            if not told:
-                use = "no_promise" if untold else "unknown_question"
-                return self._nlg.say(use, values=untold, **words), {}, False
-            lead = "yes" if len(untold) == len(missing) else "no"
-            answer = (
-                f"{self._nlg.say(lead, **words)} {self._nlg.agent(Frame('inform', told), **words)}"
-            )
-            if untold:
-                answer += f" {self._nlg.say('no_promise', values=untold, **words)}"
-            return answer, told, not missing
+            return self._whether(record, sentence, meant, has, words)
         if is_whether and not moves.says(sentence, "wh"):  # "is the theater far?" is about "far"
             named = self._spelling.named(moves.said_of(sentence), sorted(asked & {*record}))
             asked = {*named}
@@ -175,13 +149,64 @@ class Questions:
             return self._nlg.say("unknown_question", **words), {}, True
         return None
 
+    def _named_in_part(self, record: Mapping[str, str], sentence: str) -> dict[str, list[str]]:
+        """Returns the values that a sentence names in full, or else by a part of the record's.
+
+        As in "is it rated great?", "is it at the grove?".
+        """
+        said = tokenize(sentence)
+        full = self._spelling.lexicon.full_names(said)
+        if full:
+            return {slot: [" ".join(said[start:end])] for slot, start, end in full}
+        parts = [f" {one} {other} " for one, other in pairwise(said) if other not in SMALL]
+        parts += [f" {one} " for one in said if one in record.values()]
+        known = product(record, parts)
+        return {slot: [part.strip()] for slot, part in known if part in f" {record[slot]} "}
+
+    def _whether(
+        self,
+        record: Mapping[str, str],
+        sentence: str,
+        meant: Mapping[str, Sequence[str]],
+        has: Mapping[str, str | None],
+        words: dict[str, Any],
+    ) -> tuple[str, dict[str, str], bool]:
+        """Returns a yes or no with the record's values, these, and whether it agrees.
+
+        Args:
+            record: the record's values by slot.
+            sentence: the question.
+            meant: the values that it means, by slot.
+            has: the slot of the record that has one of them, by slot.
+            words: what determines the words.
+        """
+        told = {
+            own or slot: record[own or slot]
+            for slot, own in has.items()
+            if own or slot in record.keys() & self._spoken_of
+        }
+        if moves.says(sentence, "the_same"):
+            same = moves.named_slots(moves.same(sentence), self._spelling.lexicon)
+            told |= {slot: record[slot] for slot in same if slot in record}
+        missing = [slot for slot, own in has.items() if not own]
+        untold = {slot: meant[slot][0] for slot in missing if slot not in record}
+        if not told:
+            use = "no_promise" if untold else "unknown_question"
+            return self._nlg.say(use, values=untold, **words), {}, False
+        lead = self._nlg.say("yes" if len(untold) == len(missing) else "no", **words)
+        answer = f"{lead} {self._nlg.agent(Frame('inform', told), **words)}"
+        if untold:
+            answer += f" {self._nlg.say('no_promise', values=untold, **words)}"
+        return answer, told, not missing
+
     def _is_unheard(self, sentence: str) -> bool:
         """Returns whether a sentence asks whether, and it was not heard what."""
         if not moves.says(sentence, "whether") or moves.says(sentence, "running"):
             return False
         reading = self._hear(sentence, None)
         is_bare = self._hear.is_bare(reading.frame) and not reading.unclear
-        return is_bare and (reading.frame.act == "confirm_question" or self._hear.is_unsure(reading))
+        is_guess = reading.frame.act == "confirm_question" or self._hear.is_unsure(reading)
+        return is_bare and is_guess
 
     def _is_of(self, sentence: str, meant: Mapping[str, Sequence[str]]) -> bool:
         """Returns whether a question is of something named, as "is the 2:40 one left?"."""

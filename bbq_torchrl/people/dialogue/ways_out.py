@@ -94,26 +94,18 @@ class WaysOut:
         informs = reading.frame.informs
         if question is not None and not informs.keys().isdisjoint(question.requests):
             question = Frame(question.act)  # it is answered
-        if question is not None and moves.says(text, "rest"):
-            if left := question.choices[MAX_CHOICES:]:
-                return self._several(now, reading, question.requests[0], left, words)
+        left = question.choices[MAX_CHOICES:] if question is not None else ()
+        if question is not None and left and moves.says(text, "rest"):
+            return self._several(now, reading, question.requests[0], left, words)
         way = moves.direction(text)
         end = 0 if way else moves.direction(moves.others(text), "latest", "earliest")
-        told = {**self._tracking.kept(now.state), **now.proposal, **informs}
         is_wish = now.state.get("wished", full(now.state)) > 0
         # Who wished that movie means "the only theater".
         only = self._holder if is_wish[self._slots.index(self._thing)] else self._thing
-        slots, stays = self._meant(text, question, told, only, informs, is_proposed=bool(now.proposal))
-        held, records = full(now.state), self._records
-        is_told = torch.tensor([name in informs for name in self._slots])
-        # "In Detroit" is not at the one theater there.
-        is_within = records.determines[:, is_told].any(1) & ~is_told & ~records.lasting
-        is_within &= torch.tensor([name not in slots for name in self._slots])
-        # "Another time, maybe at another theater?"
-        free = {*slots[1:]} - {*slots[:1], *informs}
-        is_free = is_within | torch.tensor([name in free for name in self._slots])
-        held = torch.where(is_free, NONE, held)
+        slots, stays = self._meant(now, text, question, informs, only)
+        records = self._records
         number = next((n for n in map(self._slots.index, slots) if records.is_listed(n)), None)
+        held = self._widened(full(now.state), informs, slots)
         is_met = records.is_met(held)
         if number is None:
             if is_met and not (now.proposal or now.is_offered):
@@ -122,7 +114,7 @@ class WaysOut:
         slot = self._slots[number]
         if slot in news and self._names_another(text, slot, informs[slot]):
             return None
-        named = torch.tensor([name in {slot, *stays} for name in self._slots])
+        named = self._flags({slot, *stays})
         proposed = torch.tensor(self._tracking.ids(now.proposal))
         # Other than what is proposed, unless the text names another one itself.
         itself = informs.get(slot, now.proposal.get(slot))
@@ -130,43 +122,62 @@ class WaysOut:
         is_beside = bool(now.proposal) if way or end else is_named
         if is_beside:
             takes = proposed if not is_met else torch.where(named, proposed, NONE)
-            takes = torch.where(is_told, NONE, takes)
+            takes = torch.where(self._flags(informs), NONE, takes)
             held = torch.where(takes != NONE, takes, held)
-        is_wish = is_wish | named | records.opening
-        is_wish &= ~records.determines[:, number]
-        wished = torch.where(is_wish, held, NONE)
+        is_wish = (is_wish | named | records.opening) & ~records.determines[:, number]
         is_other = bool(way) or moves.says(text, "else")
         base, found = held, self._choices(held, number, way, end, is_other=is_other)
         if len(found) < 2 and not (way or end):  # leave out what the agent chose
-            base, found = wished, self._choices(wished, number, is_other=is_other) or found
+            base = torch.where(is_wish, held, NONE)
+            found = self._choices(base, number, is_other=is_other) or found
         if len(found) > 1:
             values = tuple(records.vocabulary[number][value] for value in found)
             return self._several(now, reading, slot, values, words)
-        change = {number: found[0]} if found else {}
         # The wishes stay, unless none has them all.
         fixed = records.lasting | (is_wish if is_met else named)
         fixed[number] = False
         as_told = base.clone()
         as_told[number] = full(now.state)[number]
+        propose = partial(self.propose, now, reading, words=words, held=as_told)
         refused = self.refused(now)
-        nearest = partial(records.nearest, refused=refused, slot=number, direction=way)
-        if change := change or ({} if end else nearest(base, stays=fixed)):
-            return self.propose(now, reading, change, words, held=as_told)
-        if is_met or is_beside:
-            use = {1: "nothing_later", -1: "nothing_earlier"}.get(way or end, "no_other")
-            place = self._tracking.values(records.here(base, fixed & (is_wish | self._place)))
-            sentence = self._nlg.say(use if place else "only", [slot], values=place, **words)
-            is_free = not (end or "only" in text) and now.times < _MAX_PROPOSALS
-            freed = fixed & (records.lasting | named)
-            if is_free and (change := nearest(base, stays=freed)):
-                answer = self.propose(now, reading, change, words, held=as_told)
-                return replace(answer, text=f"{sentence} {answer.text}")
-            if now.proposal or now.is_offered:
-                sentence += f" {self._nlg.say('stands', **words)}"
-            now = replace(now, asking=Asking())
-            return Answer(sentence, reading, reading.frame, Frame("not_sure"), now)
-        change = nearest(held) or records.nearest(held, refused, asked=[number])
-        return self.propose(now, reading, change, words)
+        nearest = partial(records.nearest, base, refused, slot=number, direction=way)
+        change = {number: found[0]} if found else {} if end else nearest(stays=fixed)
+        if change:
+            return propose(change)
+        if not (is_met or is_beside):
+            change = records.nearest(held, refused, slot=number, direction=way)
+            change = change or records.nearest(held, refused, asked=[number])
+            return self.propose(now, reading, change, words)
+        use = {1: "nothing_later", -1: "nothing_earlier"}.get(way or end, "no_other")
+        place = self._tracking.values(records.here(base, fixed & (is_wish | self._place)))
+        sentence = self._nlg.say(use if place else "only", [slot], values=place, **words)
+        is_free = not (end or "only" in text) and now.times < _MAX_PROPOSALS
+        if is_free and (change := nearest(stays=fixed & (records.lasting | named))):
+            answer = propose(change)
+            return replace(answer, text=f"{sentence} {answer.text}")
+        if now.proposal or now.is_offered:
+            sentence += f" {self._nlg.say('stands', **words)}"
+        now = replace(now, asking=Asking())
+        return Answer(sentence, reading, reading.frame, Frame("not_sure"), now)
+
+    def _widened(
+        self, held: torch.Tensor, informs: Collection[str], slots: Sequence[str]
+    ) -> torch.Tensor:
+        """Returns the values held, without what a text that asks for others leaves open.
+
+        Args:
+            held: long ``[S]``, the values held.
+            informs: the slots that the text tells: "in Detroit" is not at the one theater there.
+            slots: those of which it asks for others: "another time, maybe at another theater?"
+        """
+        is_told, records = self._flags(informs), self._records
+        is_within = records.determines[:, is_told].any(1) & ~is_told & ~records.lasting
+        is_free = (is_within & ~self._flags(slots)) | (self._flags(slots[1:]) & ~is_told)
+        return torch.where(is_free & ~self._flags(slots[:1]), NONE, held)
+
+    def _flags(self, slots: Collection[str]) -> torch.Tensor:
+        """Returns which slots are among some, bool ``[S]``."""
+        return torch.tensor([slot in slots for slot in self._slots])
 
     def _several(
         self,
@@ -201,18 +212,17 @@ class WaysOut:
 
     def _meant(
         self,
+        now: Memory,
         text: str,
         question: Frame | None,
-        told: Mapping[str, str],
+        informs: Mapping[str, str],
         only: str,
-        informs: Collection[str],
-        *,
-        is_proposed: bool,
     ) -> tuple[list[str], list[str]]:
         """Returns the slots of which a text asks for others, and those that stay as they are.
 
         They are named, or else that which the agent listed or asked for last.
         """
+        told = {**self._tracking.kept(now.state), **now.proposal, **informs}
         wanted, *other = moves.besides(moves.others(text))
         lexicon, named_values = self._lexicon, moves.named_values
         stays = moves.named_slots(moves.same(wanted), lexicon)
@@ -239,8 +249,8 @@ class WaysOut:
             slots = [slot for slot in lexicon.slots if lexicon.kinds[slot] == "time"]
         if not slots and question is not None:
             is_thing = moves.says(wanted, "thing") and not question.choices
-            is_thing &= not is_proposed or only == self._thing
-            asked = [] if is_proposed else [*question.requests][:1]
+            is_thing &= not now.proposal or only == self._thing
+            asked = [] if now.proposal else [*question.requests][:1]
             slots = [self._thing] if is_thing else asked
         return slots or [self._thing] * bool(stays), stays
 
