@@ -1,10 +1,11 @@
 """``bbq chat``: sessions of typed lines from beginning to end, and the keys of a terminal."""
 
 import io
-import re
 import sys
+from pathlib import Path
 
 import pytest
+import yaml
 from acts import HOSTILE, Acts
 from prompt_toolkit.application import create_app_session
 from prompt_toolkit.input import create_pipe_input
@@ -15,6 +16,8 @@ from bbq_torchrl.people.chat import Partner, __main__
 from bbq_torchrl.people.chat.terminal import Chat, prompt
 from bbq_torchrl.people.dialogue.judge import Judge, choose_goal
 from bbq_torchrl.utils.output import needed
+
+SESSIONS = yaml.safe_load(Path(__file__).with_name("sessions.yaml").read_text(encoding="utf-8"))
 
 
 def play(partner, goal, lines):
@@ -30,49 +33,16 @@ def test_goals_that_are_drawn_can_be_met(movie):
     assert all(judge.is_attainable(choose_goal(movie, None, seed)) for seed in range(50))
 
 
-def test_a_goal_that_is_not_met_says_why_and_commands_work_after_the_end(partner):
-    goal = choose_goal(partner.agent.domain, 1, 0)
-    lines = ["closing", "", "/acts now", "/goal", "more", "/help", "/quit", "/goal"]
-    success, shown = play(partner, goal, lines)
-    assert "You ended the conversation." in shown
-    assert "The agent took no action: you ended the conversation." in shown
-    assert shown.count("The conversation is over: /acts") == 1
-    assert success is False
-    assert "Failure: no booking was offered" in shown
-    assert shown.count("understood: closing") == 1
-    assert shown.count("Your goal is a booking:") == 2
-    assert shown.count("these commands") == 1
-
-
-def test_commands_show_what_was_understood_and_how_sure_the_agent_is(partner, decided):
-    decided(partner.agent, *["request(city)"] * 3)
-    lines = ["/acts", "inform(moviename=barbie)", "/acts", "/why", "/goal", "/help", "/nope"]
-    lines += ["two for godzilla", "/acts", "the first", "/acts", "/quit"]
-    success, shown = play(partner, None, lines)
-    assert success is None
-    for text in (
-        "Nothing was said yet.",
-        "understood: inform(moviename=barbie) (confidence 0.99",
-        "P(best)",
-        "entropy of the best action",
-        "request(city) rather than",
-        "There is no goal",
-        "A command must be one of /acts, /why, /goal, /help, /quit, got '/nope'.",
-        "unclear: godzilla as moviename, one of godzilla minus one, godzilla x kong",
-        "The agent took no action",
-        "with what was said before: inform(numberofpeople=2, moviename=godzilla minus one)",
-        "No booking was offered.",
-    ):
-        assert text in shown
-    assert re.search("agent: .*Godzilla Minus One.*Godzilla X Kong", shown)
-
-
-def test_an_agent_without_a_posterior_shows_values_alone(agents, mouth, decided):
-    partner = Partner(agents["dqn"], Acts(), mouth)
-    decided(partner.agent, *["request(city)"] * 2)
-    _, shown = play(partner, None, ["inform(moviename=barbie)", "/acts", "/why"])
-    assert "This agent has no posterior" in shown
-    assert "P(best)" not in shown
+@pytest.mark.parametrize("case", SESSIONS, ids=lambda case: case["what"])
+def test_a_session_shows_what_was_asked_for(agents, mouth, decided, case):
+    partner = Partner(agents[case.get("agent", "bbqn")], Acts(), mouth, rules=())
+    decided(partner.agent, *case.get("decides", ()))
+    goal = choose_goal(partner.agent.domain, 1, 0) if "goal" in case else None
+    success, shown = play(partner, goal, case["lines"])
+    assert success is case["success"]
+    found = {text: shown.count(text) for text in case["shows"]}
+    wanted = {text: found[text] or 1 if n is True else n for text, n in case["shows"].items()}
+    assert found == wanted
 
 
 UNREADABLE = ["", "x" * 1_000_000, "\x00\x07"]

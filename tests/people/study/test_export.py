@@ -6,6 +6,7 @@ from contextlib import closing, contextmanager
 from dataclasses import replace
 
 import pytest
+from tables import rows
 
 from bbq_torchrl.people.study.__main__ import main
 from bbq_torchrl.people.study.database import StoreError, current, opened
@@ -165,15 +166,6 @@ def test_what_a_spreadsheet_would_run_is_defused_and_nothing_else():
         assert defused(cell) == cell
 
 
-@pytest.mark.parametrize(
-    ("text", "kept"),
-    [
-        ("My name is Ann Lee and I want 2", "My name is [name] and I want 2"),
-        ("call me Bob, please", "call me [name], please"),
-        ("write to ann.lee+x@mail.example.org", "write to [address]"),
-        ("call +1 (555) 123-4567 at 7", "call [number] at 7"),
-        ("2 tickets on the 9th at 7:30 in 98101", "2 tickets on the 9th at 7:30 in 98101"),
-    ],
-)
+@pytest.mark.parametrize(("text", "kept"), rows(__file__, "names.txt"))
 def test_names_that_are_given_as_such_are_replaced(text, kept):
     assert without_names(text) == kept
