@@ -107,20 +107,10 @@ def test_the_numbers_are_those_of_the_quick_protocol(example):
         assert rate == pytest.approx(protocol.lr_share(number))
 
 
-def test_a_tiny_training_learns_from_the_spike_and_adds_a_line(
-    example, tmp_path, monkeypatch, capsys
-):
+def test_a_tiny_training_adds_a_line(example, tmp_path, monkeypatch, capsys):
     names = example["train"].__globals__
     for name, value in {"SPIKE_DIALOGUES": 4, "DIALOGUES": 2, "HIDDEN": (8,)}.items():
         monkeypatch.setitem(names, name, value)
-    learned = []
-    learn = names["learn"]
-
-    def watched(net, optimizer, data):
-        learned.append(len(data))
-        learn(net, optimizer, data)
-
-    monkeypatch.setitem(names, "learn", watched)
     file = tmp_path / "results.csv"
     file.write_text("seed,rounds,final_success\n7,40,0.5\n")
     options = ["--seed=1", "--rounds=2", "--dialogues=4", f"--file={file}"]
@@ -130,4 +120,3 @@ def test_a_tiny_training_learns_from_the_spike_and_adds_a_line(
     assert [(line["seed"], line["rounds"]) for line in lines] == [("7", "40"), ("1", "2")]
     assert float(lines[1]["final_success"]) in {0, 0.25, 0.5, 0.75, 1}
     assert "in 4 dialogues" in capsys.readouterr().out
-    assert 10 < learned[0] < learned[1] <= example["CAPACITY"]

@@ -113,28 +113,6 @@ def test_an_epinet_changes_values_by_the_index_and_leaves_the_base_network_alone
     assert once.abs().max() > 0.1
 
 
-def test_an_index_is_kept_until_the_episode_ends_and_is_none_without_exploration(
-    epinet, index_actor
-):
-    from bbq_extending.index_sampling import IndexSampling
-
-    policy = IndexSampling(index_actor, 4)
-    rows = TensorDict(
-        observation=torch.ones(2, 3, FEATURES),
-        is_init=torch.zeros(2, 3, 1, dtype=torch.bool),
-        batch_size=[2, 3],
-    )
-    first = policy(rows.clone())["action_value"]
-    assert first.flatten(0, 1).unique(dim=0).shape[0] == 6
-    rows["is_init"][0, 1] = True
-    second = policy(rows.clone())
-    assert (first == second["action_value"]).all(-1).tolist() == [[True, False, True], [True] * 3]
-    assert "index" not in second
-    with set_exploration_type(ExplorationType.DETERMINISTIC):
-        greedy = policy(rows.clone())["action_value"]
-    assert torch.equal(greedy, epinet(rows["observation"], torch.zeros(2, 3, 4)))
-
-
 def test_an_index_is_the_same_in_a_value_and_its_target(epinet, index_actor):
     from bbq_extending.index_sampling import IndexLoss
 

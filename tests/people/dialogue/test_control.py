@@ -13,18 +13,17 @@ import yaml
 from acts import Acts
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.domains.values import NO_MATCH, NONE
+from bbq_torchrl.domains.values import NO_MATCH
 from bbq_torchrl.envs.text_channel import TextChannel
 from bbq_torchrl.people.chat import Partner
 from bbq_torchrl.people.dialogue import RULES
 from bbq_torchrl.people.dialogue.control import Control
 from bbq_torchrl.people.dialogue.exchange import Memory
 from bbq_torchrl.people.dialogue.judge import Judge
-from bbq_torchrl.people.dialogue.records import Records
 from bbq_torchrl.people.language import Frame, Unclear, Understood
 from bbq_torchrl.people.language.asking import Asking
+from bbq_torchrl.simulator import Utterance
 
-SHOWN = ("moviename", "city", "date")
 TABLE = yaml.safe_load(Path(__file__).with_name("control.yaml").read_text(encoding="utf-8"))
 MOST = tuple(name for name in RULES if name != "asks_first")
 HEARD = {
@@ -151,27 +150,6 @@ def test_answers_and_wishes_are_those_of_one_record(partner_with, spelling, monk
     assert right >= 19  # at random an agent seldom tells what cannot be taken back in time
 
 
-@pytest.mark.parametrize(
-    ("text", "kept"),
-    [
-        ("is there another {theater_chain}?", "theater_chain"),
-        ("what else that time?", "starttime"),
-    ],
-)
-def test_who_asks_for_another_of_a_chain_or_at_that_time_keeps_that(talk, spelling, text, kept):
-    place = ("moviename", "theater", "date", "starttime")
-    named = [record for record in spelling.domain.records if {"theater_chain", *place} <= {*record}]
-    slot = {"theater_chain": "theater", "starttime": "moviename"}[kept]
-    for record in named[:20]:
-        told = ", ".join(f"{name}={record[name]}" for name in (*place, "theater_chain"))
-        *_, answer = talk((f"inform({told})", "inform(taskcomplete)"), (text.format(**record),))
-        act = answer.answered
-        told = act.informs if act.choices else answer.memory.proposal
-        is_told = "no other" in answer.text and "theater chain" not in answer.text
-        assert is_told or slot in {*act.requests, *told}, answer.text
-        assert told.get(kept, record[kept]) == record[kept]
-
-
 @pytest.mark.parametrize("refused", [{}, {"city": "atlantis"}])
 def test_to_refuse_what_no_record_has_refuses_nothing(partner_with, talk, refused):
     (offer,) = talk(OFFER)
@@ -179,19 +157,6 @@ def test_to_refuse_what_no_record_has_refuses_nothing(partner_with, talk, refuse
     assert partner_with(None).reply(memory, "yes", 1).ended == "agent"
     again = partner_with(None).reply(memory, "inform(numberofpeople=2)", 1)
     assert "newark" in again.answered.informs.values()
-
-
-def test_another_day_is_proposed_before_another_city_or_movie(spelling):
-    domain = tensorize(spelling.domain)
-    records, (movie, city, date) = Records(domain), map(domain.slot.get, SHOWN)
-    rows = domain.records[(domain.records[:, [movie, city, date]] != NONE).all(-1)]
-    for row in rows[::20]:
-        there = (rows[:, [movie, city]] == row[[movie, city]]).all(-1)
-        other = next(value for value in rows[:, date].tolist() if value not in rows[there, date])
-        held = torch.zeros_like(row)
-        held[[movie, city]] = row[[movie, city]]
-        held[date] = other
-        assert records.nearest(held).keys() == {date}
 
 
 def test_memory_is_all_there_is(talk, agents, mouth):
@@ -246,11 +211,15 @@ def test_the_level_of_text_hears_what_a_chat_hears(agents, mouth, spelling, belo
     answer = partner.reply(None, "hello", 0)
     while not answer.acted:
         answer = partner.reply(answer.memory, "hello", 0)
-    channel = TextChannel(tensorize(spelling.domain), other, mouth, below)
-    times, act, *rest = channel._hear(MEANT, None, 0).tolist()
-    frame = channel.coding.frame(act, rest[: len(rest) // 2], rest[len(rest) // 2 :])
+    domain = tensorize(spelling.domain)
+    channel, active = TextChannel(domain, other, mouth, below), torch.ones(domain.n_slots).bool()
+    informs = torch.tensor(channel.coding.ids(MEANT.informs))
+    said = Utterance(torch.tensor(domain.act["inform"]), informs, ~active, torch.tensor(0))
+    draws = {"words": torch.tensor(0.0)}
+    found = channel.transmit(said, None, said.act, torch.tensor(False), draws, active)
     assert other.questions == ears.questions
-    assert times == len(ears.questions) - 1
+    assert int(found.repeats) == len(ears.questions) - 1
+    frame = channel.coding.frame(int(found.act), found.informs.tolist(), found.requests.tolist())
     assert (frame.act, frame.informs) == (answer.understood.act, answer.understood.informs)
 
 
