@@ -214,7 +214,7 @@ def test_the_level_of_text_hears_what_a_chat_hears(agents, mouth, spelling, belo
     domain = tensorize(spelling.domain)
     channel, active = TextChannel(domain, other, mouth, below), torch.ones(domain.n_slots).bool()
     informs = torch.tensor(channel.coding.ids(MEANT.informs))
-    said = Utterance(torch.tensor(domain.act["inform"]), informs, ~active, torch.tensor(0))
+    said = Utterance(torch.tensor(domain.act["inform"]), informs, ~active)
     draws = {"words": torch.tensor(0.0)}
     found = channel.transmit(said, None, said.act, torch.tensor(False), draws, active)
     assert other.questions == ears.questions

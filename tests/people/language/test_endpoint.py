@@ -3,6 +3,7 @@ import json
 import threading
 import time
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 
 import pytest
 
@@ -89,24 +90,12 @@ def test_a_quote_that_names_no_value_or_several_is_unclear(understand, server):
     ]
 
 
-WRONG = (
-    {"act": "obey"},
-    {"informs": [{"slot": "city", "quote": "Boise"}]},  # which was not said
-    {"informs": [{"slot": "city", "quote": "ren"}]},
-    {"informs": [{"slot": "password", "quote": "reno"}]},
-    {"informs": [{"slot": "city", "value": "reno"}]},
-    {"informs": "reno"},
-    {"requests": ["everything"]},
-    {"dont_care": ["city"]},
-    {"dont_care": None},
-)
+# Parts of an answer, such as a city that was not said.
+WRONG = Path(__file__).with_name("wrong.jsonl").read_text("utf-8").splitlines()
+ANSWERS = [*(json.dumps(ANSWER | json.loads(part)) for part in WRONG), "null", "3", "", "[" * 9_999]
 
 
-@pytest.mark.parametrize(
-    "content",
-    [*(json.dumps(ANSWER | change) for change in WRONG), "null", "3", "", "yes", "[" * 100_000],
-    ids=range(14),
-)
+@pytest.mark.parametrize("content", ANSWERS, ids=range(len(ANSWERS)))
 def test_an_answer_that_is_no_frame_of_the_domain_falls_back(understand, server, content):
     server.content = content
     hear = EndpointUnderstander(server.endpoint, understand)
