@@ -6,13 +6,10 @@ import pytest
 import yaml
 from tiny import composed, nightly
 
-from bbq_torchrl.evaluation.compare_runs import PAPER
 from bbq_torchrl.evaluation.finished_runs import agent_name
 from bbq_torchrl.options import explorations, registry
 from bbq_torchrl.options.registry import conf_folder, options
-from bbq_torchrl.options.task import replica_values
 from bbq_torchrl.runs.compose import compose
-from bbq_torchrl.runs.folders import load_config, save_config
 from bbq_torchrl.search.definition import compose_search
 from bbq_torchrl.settings import ConfigError
 
@@ -100,38 +97,11 @@ def test_an_experiment_of_a_folder_decides_over_groups_and_keys(tmp_path, monkey
     assert compose(["+experiment=agents/warm", "agent.lr=.1"]).agent.lr == 0.1
 
 
-def test_a_list_is_shared_out_among_the_replicas(tmp_path):
-    command = ["replicas=4", "explore=thompson_epsilon", "agent.prior_std=[.05,.1,.2,.4]"]
-    config = composed(*command, "explore.eps_init=[.2,.5]", "agent.lr=.01")
-    assert replica_values(config) == [
-        {"agent.prior_std": 0.05, "explore.eps_init": 0.2},
-        {"agent.prior_std": 0.1, "explore.eps_init": 0.2},
-        {"agent.prior_std": 0.2, "explore.eps_init": 0.5},
-        {"agent.prior_std": 0.4, "explore.eps_init": 0.5},
-    ]
-    save_config(config, tmp_path / "config.yaml")
-    assert load_config(tmp_path / "config.yaml") == config
-    assert replica_values(composed("replicas=2")) == [{}, {}]
-
-
 def test_the_edges_of_what_fits_together_are_composed():
     assert composed("agent=gp", "protocol.capacity=512").protocol.capacity == 512
     assert composed("protocol=quick", "agent=gp").protocol.capacity == 40_000
     composed("protocol.capacity=32", "explore.temperature_end=.7")
     composed("agent=bootstrap", "agent.trunk_layers=2", "replicas=4", "agent.lr=[.1,.2]")
-
-
-@pytest.mark.parametrize(
-    ("setting", "env", "rounds"),
-    [("table1_full", "full", 150), ("table1_extension", "domain_ext", 200)],
-)
-def test_every_cell_of_table1_has_a_recipe(setting, env, rounds):
-    recipes = {name.removeprefix("agents/") for name in options("experiment")}
-    assert {name.replace("-", "_").lower() for name in PAPER[env]} <= recipes
-    config = compose([f"+experiment=[agents/dqn_vime_mc,{setting}]"])
-    assert (config.env.name, config.protocol.rounds, config.replicas) == (env, rounds, 5)
-    assert agent_name(asdict(config)) == "DQN-VIME-MC"
-    assert all(0 < rate < 1 for rate, _ in PAPER[env].values())
 
 
 LEARNER = {f"protocol.{key}" for key in ("lr", "epochs", "batch_size")}
@@ -162,18 +132,3 @@ def test_the_command_line_changes_settings_space_and_what_is_fixed():
     config = search.config({"agent.prior_std": 0.25, "agent.target": "mc"})
     assert (config.agent.lr, config.agent.prior_std, config.agent.target) == (2e-3, 0.25, "mc")
     assert config.replicas == 3
-
-
-def test_a_search_can_be_anybodys_yaml_file(tmp_path):
-    file = tmp_path / "mine.yaml"
-    file.write_text(
-        "fixed: [agent=dqn]\n"
-        "trials: 4\n"
-        "space:\n"
-        "  agent.lr: {type: float, low: 1e-4, high: 1e-2, log: true}\n"
-        "  agent.dropout: {type: categorical, choices: [0, 0.5]}\n"
-    )
-    search = compose_search([f"search={file}"])
-    assert (search.name, search.settings.trials) == ("mine", 4)
-    config = search.config({"agent.lr": 1e-3, "agent.dropout": 0})
-    assert (config.agent.lr, config.agent.dropout) == (1e-3, 0)

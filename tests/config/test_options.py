@@ -33,7 +33,6 @@ class Narrow(ExploreOption):
 
     name: str = option("narrow")
     patience: int = setting(3, COUNT, "rounds, $5 each")
-    anneal_rounds: int = setting(2, COUNT, "a key that one of 0.1.0 has, too")
 
     requires: ClassVar[tuple[str, ...]] = ("posterior",)
 

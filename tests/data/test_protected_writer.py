@@ -28,27 +28,10 @@ def contents(buffer):
     return buffer[:]["x"].tolist()
 
 
-def test_single_rows_are_written_in_turn():
-    buffer = make_buffer(3, protected=[1])
-    indices = [int(buffer.add(TensorDict(x=torch.tensor(x)))) for x in (2, 3, 4)]
-    assert indices == [1, 2, 1]
-    assert contents(buffer) == [1, 4, 3]
-
-
 @pytest.mark.parametrize("values", [(2, 3, 4), ()])
 def test_more_rows_than_are_unprotected_and_none_are_refused(values):
     with pytest.raises(ValueError, match="extend"):
         make_buffer(4, protected=[0, 1]).extend(rows(*values))
-
-
-def test_a_buffer_written_to_disk_protects_the_same_rows(tmp_path):
-    written, read = make_buffer(4, protected=[1, 2]), make_buffer(4)
-    written.extend(rows(3))
-    written.dumps(tmp_path)
-    read.loads(tmp_path)
-    for buffer in (written, read):
-        buffer.extend(rows(4, 5))
-    assert contents(read) == contents(written) == [1, 2, 5, 4]
 
 
 @pytest.mark.parametrize("capacity", [9, 14, 40])

@@ -16,7 +16,7 @@ from bbq_torchrl.envs import (
     scripted_policy,
 )
 from bbq_torchrl.envs.policies import MAX_CONFIRMS, MAX_OFFERS, CarefulPolicy, RepairPolicy
-from bbq_torchrl.trainers import evaluate, evaluation_rollouts
+from bbq_torchrl.trainers import evaluation_rollouts
 
 SLOTS = ["city", "date", "zip"]
 ANSWERED = "agent_act:inform agent_informed:theater"
@@ -195,21 +195,6 @@ def test_without_errors_exactly_the_goals_that_a_record_meets_are_booked(corpus,
     expected = can_be_met(domain)[rollout["goal_id"][:, 0, 0]]
     assert expected.any()
     assert torch.equal(rollout["next", "success"].any(1).squeeze(-1), expected)
-
-
-@pytest.mark.parametrize(
-    ("mode", "share"),
-    # In mode slot, errors also fill slots that the agent informs and never requests.
-    [("value", 0.9), ("slot", 0.7)],
-)
-def test_what_was_misheard_is_asked_again(movie, mode, share):
-    env = DialogueEnv(movie, batch_size=(500,), seed=0, slot_error_prob=0.2, slot_error_mode=mode)
-    own, careful = (
-        evaluate(env, scripted_policy(name, env), 500).success.double().mean()
-        for name in ("clairvoyant", "careful_essential")
-    )
-    assert own > share * can_be_met(movie).double().mean()
-    assert own > careful + 0.2
 
 
 @pytest.mark.parametrize("name", ["clairvoyant", "repair"])

@@ -28,16 +28,6 @@ def test_a_run_is_the_mean_of_its_replicas_and_they_of_their_dialogues():
     assert result.standard_error == pytest.approx(math.sqrt(sum(variances)) / 3)
 
 
-def test_what_evaluations_while_training_say_is_summed_up():
-    nothing = math.nan
-    rates = [nothing, 0.1, nothing, 0.9, 0.5, 0.5, 0.6, 0.2]
-    found = training_evaluation(rates, best=0.9, best_round=3)
-    assert (found.last, found.best, found.best_round) == (0.2, 0.9, 3)
-    assert found.last_five == pytest.approx((0.9 + 0.5 + 0.5 + 0.6 + 0.2) / 5)
-    assert training_evaluation(rates[:2], best=0.1, best_round=1).last_five == 0.1
-    assert training_evaluation([nothing] * 3, best=0.0, best_round=-1) is None
-
-
 def test_a_result_is_read_as_it_was_written(tmp_path):
     base = run_result([0.4, 0.2], scripted={"rule": 0.18})
     replicas = [

@@ -5,7 +5,6 @@ from functools import partial
 import pytest
 import torch
 from q_transitions import FixedNoise
-from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl.bayes import BayesMLP, kl_divergence, weight_scope
@@ -69,15 +68,7 @@ def test_a_masked_network_trains_as_a_smaller_one(kind, replicas):
         torch.testing.assert_close(kl_divergence(masked), kl_divergence(small))
 
 
-class OwnNetwork(nn.Linear):
-    """A custom network with only the member of Growing."""
-
-    def reset_inactive_(self, inputs, outputs):
-        self.weight[:, inputs] = 0
-
-
 LATE = {
-    "own": lambda features, actions, *_, **__: OwnNetwork(features, actions),
     "plain": FlatMLP,
     "noisy": NoisyMLP,
     "trunk": BootstrapMLP,

@@ -109,10 +109,6 @@ def test_a_loss_learns_all_of_an_actor(make, kind, settings):
     assert all(p.grad.isfinite().all() and p.grad.any() for p in loss.parameters())
     if kind is BBQNLoss:
         torch.testing.assert_close(out["kl"], kl_divergence(actor))
-    if loss.has_fixed_targets:
-        td["next", "next_state_value"] = loss.next_state_values(td)
-        without_next_state = td.exclude(("next", "observation"))
-        torch.testing.assert_close(result(loss, without_next_state)["loss"], out["loss"])
 
 
 @pytest.mark.parametrize(
