@@ -6,12 +6,11 @@ from unittest.mock import MagicMock
 
 import pytest
 import torch
-import trainer_parts
 from q_transitions import bayes_loss, dynamics_loss, plain_loss, transitions
 from tensordict import TensorDict
 from torch.optim import Adam
 from torchrl.envs import ExcludeTransform, TransformedEnv
-from trainer_parts import CountingLoss, GuessEnv, make_trainer
+from trainer_parts import GuessEnv, make_trainer
 
 from bbq_torchrl.exploration import BatchedEGreedy
 from bbq_torchrl.trainers import Learner, TrainingError
@@ -184,33 +183,15 @@ def test_an_update_has_the_gradients_and_the_metrics_of_each_loss(q):
     assert learner.sums.means().keys() == names
 
 
-class Fits(CountingLoss):
-    """Notes what it is called with."""
-
-    only_fits = True
-
-    def __init__(self, *args, **kwargs):
-        super().__init__(*args, **kwargs)
-        self.calls = []
-
-    def forward(self, tensordict):
-        self.calls.append("batch")
-        return super().forward(tensordict)
-
-    def fit(self, tensordict):
-        self.calls.append(tensordict.clone())
-        return TensorDict(loss_value=torch.tensor([7.0, 8.0]), fitted=torch.tensor([1.0, 2.0]))
-
-
 @pytest.mark.parametrize("only_fits", [True, False])
-def test_a_round_ends_with_a_fit_to_all_transitions(only_fits, tmp_path, monkeypatch):
-    monkeypatch.setattr(trainer_parts, "CountingLoss", Fits)
-    monkeypatch.setattr(Fits, "only_fits", only_fits)
-    trainer = trainer_parts.make_trainer(tmp_path, replicas=2, rounds=1)
+def test_a_round_ends_with_a_fit_to_all_transitions(only_fits, tmp_path):
+    trainer = make_trainer(tmp_path, replicas=2, rounds=1)
+    fitted = {"loss_value": torch.tensor([7.0, 8.0]), "fitted": torch.tensor([1.0, 2.0])}
+    loss = trainer.learner.loss
+    loss.only_fits, loss.fit = only_fits, MagicMock(return_value=TensorDict(fitted))
     rows = trainer.train()
 
-    *batches, stored = trainer.learner.loss.calls
-    assert ("batch" in batches) is not only_fits
+    (stored,) = loss.fit.call_args.args
     assert stored["valid"].sum(-1).tolist() == list(trainer.replay.lengths)
     for replica, buffer in enumerate(trainer.replay.buffers):
         seen = stored["observation"][replica][stored["valid"][replica]]
