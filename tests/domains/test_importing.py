@@ -109,7 +109,6 @@ REFUSED = {
     "an unknown essential slot": ([*CHOICES[:3], "from"], {}, "essential .*pickup, .* 'from'"),
     "too few acts": (CHOICES, {"acts": REQUIRED_ACTS[:-1]}, r"acts .*'deny'"),
     "no slot": (CHOICES, {"slots": [""]}, r"slots\.txt"),
-    "records of another form": (CHOICES, {"kb": []}, r"kb\.p .*\[\]"),
     "no usable goal": (CHOICES, {"goals": [goal("zoo", "hotel", asked=("pickup",))]}, "'pickup'"),
 }
 

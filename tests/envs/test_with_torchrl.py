@@ -12,31 +12,14 @@ from torchrl.envs import (
     SerialEnv,
     StepCounter,
     TransformedEnv,
-    check_env_specs,
 )
 
 from bbq_torchrl.envs import (
     DialogueEnv,
     EnvState,
-    ExtensionSchedule,
     UniformPolicy,
     scripted_policy,
 )
-
-
-def test_several_environments_play_side_by_side(movie):
-    schedule = ExtensionSchedule(start=1, every=1)
-    env = SerialEnv(2, partial(DialogueEnv, movie, batch_size=(4,), schedule=schedule))
-    env.set_seed(0)
-    check_env_specs(env)
-    # Their spec has no mask, so a policy is needed that reads it.
-    rollout = env.rollout(12, UniformPolicy(), break_when_any_done=False)
-    assert rollout.shape == (2, 4, 12)
-    assert rollout["action_mask"].gather(-1, rollout["action"][..., None]).all()
-    assert not torch.equal(rollout["goal_id"][0], rollout["goal_id"][1])
-    done = rollout["next", "done"].squeeze(-1)[..., :-1]
-    assert done.any()
-    assert (rollout["turns"].squeeze(-1)[..., 1:][done] == 0).all()
 
 
 def make(movie, batch_size, seed=0):

@@ -20,17 +20,6 @@ def test_runs_that_differ_in_their_seed_alone_are_one_group(add):
     assert dqn.final == [0.1]
 
 
-def test_replicas_with_values_of_their_own_are_groups_of_their_own(add):
-    stds = [0.05, 0.05, 0.2]
-    values = [{"agent.prior_std": std} for std in stds]
-    run = add([0.5, 0.6, 0.9], values=values, prior_std=stds)
-    small, large = read_groups([run, add([0.7], seed=1, prior_std=0.2)])
-    assert (small.label, large.label) == ("BBQN-MAP", "BBQN-MAP, agent.prior_std=0.2")
-    assert (small.final, large.final) == ([0.5, 0.6], [0.9, 0.7])
-    assert small.success.tolist() == [[0.25, 0.3]] * 3
-    assert large.success.tolist() == [[0.45, 0.35]] * 3
-
-
 @pytest.mark.parametrize(
     ("others", "labels"),
     [

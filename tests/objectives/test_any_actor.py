@@ -1,4 +1,4 @@
-"""Custom actors: sequences of modules, convolutional and recurrent ones, bare networks."""
+"""Custom actors: nested sequences of modules, and recurrent ones."""
 
 import pytest
 import q_transitions
@@ -34,43 +34,33 @@ def transitions():
     return td
 
 
-def sequence(trunk, linear, read=("observation",), write=("hidden",)):
-    return TensorDictSequential(
-        TensorDictModule(trunk, [*read], [*write]),
-        TensorDictModule(linear(HIDDEN, ACTIONS), ["hidden"], ["action_value"]),
-        QValueModule(action_space="categorical", action_mask_key="action_mask"),
-    )
+class Cell(nn.Module):
+    """A recurrent layer."""
 
-
-class Cell(nn.GRUCell):
-    def forward(self, x, state):
-        new = super().forward(x, state)
-        return new, new
-
-
-class BayesCell(nn.Module):
-    """A recurrent layer with Bayesian weights."""
-
-    def __init__(self, features, hidden):
+    def __init__(self, linear):
         super().__init__()
-        self.layer = BayesLinear(features + hidden, hidden)
+        self.layer = linear(60 + HIDDEN, HIDDEN)
 
     def forward(self, x, state):
         new = self.layer(torch.cat([x, state], -1)).tanh()
         return new, new
 
 
-def recurrent(linear=BayesLinear, cell=BayesCell):
-    keys = {"read": ("observation", "state"), "write": ("hidden", ("next", "state"))}
-    return sequence(cell(60, HIDDEN), linear, **keys)
+def recurrent(linear=BayesLinear):
+    keys = ["observation", "state"], ["hidden", ("next", "state")]
+    return TensorDictSequential(
+        TensorDictModule(Cell(linear), *keys),
+        TensorDictModule(linear(HIDDEN, ACTIONS), ["hidden"], ["action_value"]),
+        QValueModule(action_space="categorical", action_mask_key="action_mask"),
+    )
 
 
 def noisy():
-    return recurrent(ReplicaNoisyLinear, Cell)
+    return recurrent(ReplicaNoisyLinear)
 
 
 def heads():
-    trunk, *_ = recurrent(nn.Linear, Cell)
+    trunk, *_ = recurrent(nn.Linear)
     net = BootstrapMLP(HIDDEN, ACTIONS, (), heads=3)
     values = TensorDictModule(net, ["hidden"], ["head_value"])
     return TensorDictSequential(trunk, values, VoteModule(SPEC))
