@@ -85,6 +85,7 @@ PATIENCE = setting(3, COUNT, "rounds")
     [
         NO_DATACLASS,
         of(ExploreOption, "Plain", name="plain"),
+        of(object, "Alone", name=option("alone")),
         of(ExploreOption, "Vague", name=option("vague"), patience=3),
         of(ExploreOption, "None", patience=PATIENCE),
         of(ExploreOption, "Mine", name=option("thompson")),

@@ -220,6 +220,7 @@ def test_a_state_of_another_transform_is_refused(transforms):
         ),
         (lambda replay: replay.protect(), "capacity"),
         (lambda replay: ReplicaReplay(5).epoch(2), "replica"),
+        (lambda replay: ReplicaReplay(5).compute("x", abs), "replica"),
         (lambda replay: replay.load_state_dict(filled(1).state_dict()), "replicas"),
         (lambda replay: replay.load_state_dict(filled(9, 9).state_dict()), "capacity"),
     ],

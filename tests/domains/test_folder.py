@@ -76,6 +76,7 @@ EDITED = [
     (YAML, "essential: [table", "essential: table #[", ["essential", "'table'"]),
     (YAML, "  inform: [", "  tell: [", ["actions", "inform", "tell"]),
     (YAML, "kind: script", "sort: script", ["policies.rule", "kind", "sort"]),
+    (YAML, "  rule:", "  rule: play\n  other:", ["policies.rule", "'play'"]),
     (CSV, "area,day", "area,area", ["area"]),
     (CSV, "saturday", "saturday,x", ["line 2", "9", "8"]),
     (CSV, "italian", '"italian', [CSV]),

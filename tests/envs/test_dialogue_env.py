@@ -36,13 +36,9 @@ def test_specs_describe_what_the_environment_gives(domain_name, batch_size, sche
     check_env_specs(env)
     n_features = 2 * len(domain.acts) + 7 * len(domain.slots) + 3 + domain.turn_width
     widths = {"observation": n_features, "action_mask": len(domain.actions)}
-    flags = ("success", "done", "terminated", "truncated")
-    widths |= dict.fromkeys(("turns", "goal_id", *flags), 1)
-    given = env.fake_tensordict()
-    for where in (given, given["next"]):
-        assert {where[key].dtype for key in flags} == {torch.bool}
-        for key, width in widths.items():
-            assert where[key].shape == (*batch_size, width), key
+    widths |= dict.fromkeys(("turns", "goal_id", "success", "done", "terminated", "truncated"), 1)
+    for key, width in widths.items():
+        assert env.fake_tensordict()[key].shape == (*batch_size, width), key
     assert (env.action_spec.shape, env.action_spec.n) == (batch_size, len(domain.actions))
     goals = env.observation_spec["goal_id"].space
     assert (goals.low == 0).all()

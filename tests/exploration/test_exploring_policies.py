@@ -117,6 +117,7 @@ NET = PLAIN[0].module
     ("key", "wrong"),
     [
         ("Bayesian", lambda: ThompsonSampling(PLAIN)),
+        ("Bayesian", lambda: EvaluationPolicy(PLAIN, mode="draw")),
         ("noisy", lambda: NoisySampling(PLAIN)),
         ("VoteModule", lambda: MajorityVote(PLAIN)),
         ("actor", lambda: ThompsonSampling(NET)),

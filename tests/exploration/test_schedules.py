@@ -73,6 +73,7 @@ def test_boltzmann_draws_an_action_in_the_form_of_the_greedy_one(spec):
     ("make", "start", "end", "message"),
     [
         (epsilon, 0.1, 0.2, "eps_init"),
+        (epsilon, 1.5, 0.1, "eps_init"),
         (epsilon, 0.1, -0.1, "eps_init"),
         (Boltzmann, 0.1, 0.2, "temperature_init"),
         (Boltzmann, 0.1, 0.0, "temperature_init"),

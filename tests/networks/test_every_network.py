@@ -63,6 +63,7 @@ MANY = Categorical(4, shape=(3,))
 @pytest.mark.parametrize(
     ("key", "wrong"),
     [
+        ("dropout", lambda: networks.FlatMLP(3, 2, dropout=-0.1)),
         ("dropout", lambda: networks.FlatMLP(3, 2, dropout=1.0)),
         ("mode", lambda: networks.FlatMLP(3, 2)(torch.ones(3), "off")),
         ("heads", lambda: networks.BootstrapMLP(3, 2, heads=0)),

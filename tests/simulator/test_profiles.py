@@ -29,6 +29,7 @@ def test_users_without_differences_are_those_of_the_paper():
         ([], r"users .*\[\]"),
         ({"patient": 3}, r"users\[0\]\.patient .*patience"),
         ({"patience": [0, 3]}, r"users\[0\]\.patience .*\[0, 3\]"),
+        ({"bears": [4, 3]}, r"users\[0\]\.bears .*\[4, 3\]"),
         ({"tells": 2}, r"users\[0\]\.tells .*2"),
         ([{"share": 0.5}, {"share": 0.6}], r"users .*1\.1"),
         ([{"share": 1}, {"share": 0}], r"users\[1\]\.share .*0"),

@@ -1,6 +1,5 @@
 """A run that is killed and resumed ends like an uninterrupted one, bit for bit."""
 
-import logging
 import os
 import signal
 import zipfile
@@ -55,9 +54,9 @@ def die_within_a_line(trainer, _):
         die()
 
 
-def build(folder, rounds=10):
+def build(folder):
     spike = Spike(random_policy, 5)
-    return make_trainer(folder, rounds=rounds, replicas=2, capacity=200, spike=spike)
+    return make_trainer(folder, rounds=10, replicas=2, capacity=200, spike=spike)
 
 
 def train(folder, moment=None):
@@ -105,18 +104,3 @@ def test_a_training_killed_at_the_worst_moment_ends_the_same(tmp_path, reference
 
     assert_same_training(folder, reference)
     assert not [path for path in (folder / "checkpoint").iterdir() if path.name.startswith(".")]
-
-
-def test_training_continues_for_more_rounds_and_after_damage_from_the_previous_checkpoint(
-    tmp_path, reference, caplog
-):
-    folder = tmp_path / "run"
-    build(folder, rounds=5).train()
-    newest = max((folder / "checkpoint").iterdir())
-    newest.write_bytes(newest.read_bytes()[:1000])
-
-    with caplog.at_level(logging.WARNING, "bbq_torchrl"):
-        train(folder)
-
-    assert newest.name in caplog.text
-    assert_same_training(folder, reference)
