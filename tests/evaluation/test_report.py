@@ -9,8 +9,6 @@ from tiny import rows
 from bbq_torchrl.evaluation.finished_runs import find_runs
 
 GOOD = [0.70, 0.80, 0.75, 0.72, 0.78]
-BAD = [0.50, 0.40, 0.60, 0.55, 0.45]
-SAME = [0.71, 0.79, 0.75, 0.73, 0.77]
 
 
 def test_runs_are_found_once_in_the_order_of_places_and_numbers(add, tmp_path):
