@@ -24,12 +24,18 @@ RUN = ["agent=dqn", *TINY, "replicas=2"]
 
 @dataclass
 class Logged:
-    """A run as a logger has it: its configuration, its rounds in order, and its result."""
+    """A run as a logger has it: its configuration, its rounds by number, and its result."""
 
     config: dict = field(default_factory=dict)
-    rounds: list = field(default_factory=list)
+    rounds: dict = field(default_factory=dict)
     result: dict = field(default_factory=dict)
     state: str = ""
+
+    def take(self, key, step, value):
+        if key.startswith("result/"):
+            self.result[key] = value
+        else:
+            self.rounds.setdefault(step, {})[key] = value
 
 
 RECORDED = {}
@@ -63,10 +69,12 @@ def _own_logger():
 
 def of_recorder(folder):
     logger = RECORDED[folder]
-    (config,) = logger.log_hparams.call_args.args
-    *rounds, result = [(call.kwargs["step"], *call.args) for call in logger.log_metrics.mock_calls]
     logger.close.assert_called_once_with()
-    return Logged(config, rounds, result[1], logger.state)
+    logged = Logged(*logger.log_hparams.call_args.args, state=logger.state)
+    for call in logger.log_metrics.mock_calls:
+        for key, value in call.args[0].items():
+            logged.take(key, call.kwargs["step"], value)
+    return logged
 
 
 def of_tensorboard(folder):
@@ -78,14 +86,9 @@ def of_tensorboard(folder):
     (text,) = events.Tensors("config/text_summary")
     lines = text.tensor_proto.string_val[0].decode().splitlines()
     logged = Logged(dict(line.strip().split(": ", 1) for line in lines))
-    by_step = {}
     for tag in events.Tags()["scalars"]:
         for event in events.Scalars(tag):
-            if tag.startswith("result/"):
-                logged.result[tag] = event.value
-            else:
-                by_step.setdefault(event.step, {})[tag] = event.value
-    logged.rounds = sorted(by_step.items())
+            logged.take(tag, event.step, event.value)
     return logged
 
 
@@ -95,9 +98,9 @@ def check(folder, logged, seed):
     assert str(logged.config["agent.hidden"]).replace(" ", "") == "[8,8]"
     assert "resume" not in logged.config
     table = rows(folder / "metrics.csv")
-    assert [step for step, _ in logged.rounds] == [0, 1]
+    assert sorted(logged.rounds) == [0, 1]
     for row in table:
-        values = logged.rounds[int(row.pop("round"))][1]
+        values = logged.rounds[int(row.pop("round"))]
         replica = row.pop("replica")
         found = {key: values[f"{key}/replica_{replica}"] for key, value in row.items() if value}
         given = {key: float(value) for key, value in row.items() if value}
@@ -190,7 +193,7 @@ def _take(record, logged):
     elif kind == "history":
         row = values(record.history.item)
         assert not any(key.endswith("/step") for key in row)  # a second chart of each
-        logged.rounds.append((row["round"], row))
+        logged.rounds[row["round"]] = row
     elif kind == "summary":
         logged.result |= values(record.summary.update)
     elif kind == "exit":
@@ -207,14 +210,9 @@ def of_mlflow(folder):
     found = client.search_runs([experiment.experiment_id])
     (ours,) = [item for item in found if item.info.run_name == folder.name]
     logged = Logged(dict(ours.data.params), state=ours.info.status.lower())
-    by_step = {}
-    for key, value in ours.data.metrics.items():
-        if key.startswith("result/"):
-            logged.result[key] = value
-            continue
+    for key in ours.data.metrics:
         for entry in client.get_metric_history(ours.info.run_id, key):
-            by_step.setdefault(entry.step, {})[key] = entry.value
-    logged.rounds = sorted(by_step.items())
+            logged.take(key, entry.step, entry.value)
     return logged
 
 
