@@ -69,10 +69,11 @@ class Accepting:
 
     def proposed(
         self, before: Memory, record: Mapping[str, str], reading: Understood, text: str
-    ) -> Understood | None:
+    ) -> tuple[Understood, bool] | None:
         """Returns the meaning of a text that takes a proposal, by a yes or by what fits it.
 
         What else the text says is told, or asked of that record. ``None`` if it does not take it.
+        The second is whether it is a yes that says nothing but what is known, and for how many.
 
         Args:
             before: the memory before the text.
@@ -100,7 +101,12 @@ class Accepting:
             if not is_named or moves.says(text, "no"):
                 return None
         frame = Frame("request" if requests else "inform", {**proposal, **told}, requests)
-        return replace(said, frame=frame, confidence=max(said.confidence, DOUBTFUL))
+        known = {**record, **proposal}
+        is_known = all(known.get(s) == value for s, value in told.items() if s not in self._free)
+        is_yes = beside is not None and is_known and not (requests or said.unclear)
+        is_yes &= not moves.says(text, "hesitates")
+        taken = replace(said, frame=frame, confidence=max(said.confidence, DOUBTFUL))
+        return taken, is_yes or moves.accepts(text)
 
     def offered(
         self,

@@ -209,8 +209,11 @@ class Hearing:
                 asked[slot] = None
                 if moves.is_relative(informs[slot]) or isnan(about_minutes(informs[slot])):
                     del informs[slot]  # no part of the day
+        if moves.says(text, "how_much"):  # "how much are two tickets?"
+            asked |= dict.fromkeys(self._spelling.named("much", self._spelling.lexicon.slots))
         for clause in moves.questions(text):
-            named = set(self._spelling.named(clause, self._domain.slots))  # "when" names two
+            # "When" names two, "is showing" none.
+            named = set(self._spelling.named(moves.without_verbs(clause), self._domain.slots))
             if named.isdisjoint(asked) and not moves.others(clause):
                 alone = self._nlu(clause, None)
                 is_sure = not named and not self.is_unsure(alone)  # "what is on"

@@ -157,7 +157,13 @@ def sentences(text: str) -> list[str]:
     for whole in _SENTENCE.findall(_words(text)):
         for sentence in _NEXT.split(whole.strip()):
             yes, _, rest = sentence.partition(" , ")
-            found += [yes, rest] if rest and accepts(yes) else [sentence]
+            wish, _, tag = sentence.rpartition(" , ")
+            if rest and accepts(yes):
+                found += [yes, rest]
+            elif wish and says(wish, "wish") and says(tag, "tag"):
+                found += [wish, tag]  # "we want 3D, Dune is in 3D, right?"
+            else:
+                found.append(sentence)
     return found
 
 

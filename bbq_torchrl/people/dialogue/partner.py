@@ -210,7 +210,14 @@ class Partner:
             found = self._others(turn, now, reading, held, dropped)
             if found is not None:
                 beside = self._questions(self._ways_out.nearest(found.memory), text, turn.words)
-                return _led(_led(found, beside.text), lead)
+                found = _led(_led(found, beside.text), lead)
+                is_open = found.memory.proposal or found.memory.is_offered or found.answered.choices
+                if is_open or found.text.endswith("?"):
+                    return found
+                # There is no other, and nothing stands: the agent goes on.
+                told = Frame("inform", values_of(reading.frame) | dict.fromkeys(dropped, ANY))
+                answer = self._act(now, reading, told, turn.words, is_booked=False)
+                return _led(answer, found.text)
         understood = before.asking.joined(reading.frame)
         is_unsure = self._is_unsure(turn, reading)
         if is_unsure and (asked := self._asked(turn, now, reading, understood)):
@@ -259,11 +266,11 @@ class Partner:
         elif before.proposal:
             says_yes = moves.beside_yes(text) is not None or moves.ends_in_yes(text)
             takes = not others or (says_yes and not moves.says(text, "question"))
-            if takes and (taken := self._accepting.proposed(before, turn.record, reading, text)):
+            if takes and (found := self._accepting.proposed(before, turn.record, reading, text)):
                 # Who has told or read all of it need not read it again.
-                is_booked = moves.accepts(text) and self._ways_out.is_whole(before)
-                now = replace(now, proposal={})
-                return now, taken, False, is_booked and not turn.asks
+                taken, is_yes = found
+                is_booked = is_yes and self._ways_out.is_whole(before, values_of(taken.frame))
+                return replace(now, proposal={}), taken, False, is_booked and not turn.asks
             if is_no_more and not others:
                 return self._ways_out.alternative(now, reading, words)
             if "yes_ends" in rules and self._hear.is_bare(reading.frame, "thanks"):
@@ -354,7 +361,7 @@ class Partner:
         told, known = values_of(turn.before.asking.joined(reading.frame)), {**held, **turn.record}
         changed = {s for s, v in told.items() if s not in known or not is_meant(s, v, known[s])}
         wish = Frame("inform", told | dict.fromkeys(dropped, ANY))
-        now = replace(now, state=self._acting.hear(turn.before.state, wish))
+        now = replace(now, state=self._told(turn.before.state, wish)[1])
         question = self._question(turn.before)
         alternatives = (
             self._ways_out.others(now, reading, text, question, turn.words, changed)
@@ -465,29 +472,35 @@ class Partner:
         implied = self._ways_out.implied(news)
         return any(implied.get(slot, value) != value for slot, value in wishes.items())
 
-    def _heard(self, before: TensorDict | None, understood: Frame) -> tuple[Frame, TensorDict]:
-        """Returns an act and the state after it.
-
-        A value that no record has with the others is that of another slot, if a record has all of
-        them then: "tonight" is a date, or a time.
-        """
-        lexicon, informs = self._spelling.lexicon, values_of(understood)
-        held, implied = self._tracking.kept(before), self._ways_out.implied(informs)
+    def _told(self, before: TensorDict | None, act: Frame) -> tuple[Frame, TensorDict]:
+        """Returns an act with what it takes back unsaid, and the state after it."""
+        held = self._tracking.kept(before)
+        implied = self._ways_out.implied(values_of(act))
         # A theater of another chain takes back the chain.
         gone = {
             slot: ANY
             for slot, value in held.items()
-            if slot in self._details and slot not in informs
+            if slot in self._details and slot not in values_of(act)
             if value != ANY and implied.get(slot, value) != value
         }
-        understood = replace(understood, informs={**gone, **understood.informs})
-        state = self._acting.hear(before, understood)
-        is_stuck = self.control.is_stuck(state)
-        for others in self._ways_out.otherwise(state, understood) if is_stuck else ():
-            freed = replace(understood, informs={**understood.informs, **others})
-            found = self._acting.hear(before, freed)
-            if others and not self.control.is_stuck(found):
-                return freed, found
+        act = replace(act, informs={**gone, **act.informs})
+        state = self._acting.hear(before, act)
+        if self.control.is_stuck(state):
+            for others in self._ways_out.otherwise(state, act):
+                freed = replace(act, informs={**act.informs, **others})
+                found = self._acting.hear(before, freed)
+                if others and not self.control.is_stuck(found):
+                    return freed, found
+        return act, state
+
+    def _heard(self, before: TensorDict | None, understood: Frame) -> tuple[Frame, TensorDict]:
+        """Returns an act and the state after it.
+
+        A value that no record has with the others is that of another slot, if a record has all of
+        them then: "tonight" is a date, or a time. A part of the day is else a time in it.
+        """
+        lexicon, informs = self._spelling.lexicon, values_of(understood)
+        understood, state = self._told(before, understood)
         distance = self.control.records.best(full(state))[2]
         for (slot, value), other in product(informs.items(), lexicon.slots if distance else ()):
             # Exactly the same name: "7 pm" is not seven people.
@@ -498,6 +511,7 @@ class Partner:
                 found = self._acting.hear(before, moved)
                 if not self.control.records.best(full(found))[2]:
                     return moved, found
+        is_stuck = self.control.is_stuck(state)
         if is_stuck and (time := self._ways_out.in_time(state)):
             timed = replace(understood, informs={**understood.informs, **time})
             found = self._acting.hear(before, timed)

@@ -81,7 +81,8 @@ class Questions:
         names = sorted(map(fold, record.values()), key=len, reverse=True)
         name = rf"(?:{'|'.join(map(re.escape, names)) or '_'})\b"
         subject = re.compile(rf"\b(is|does) {name}(?= (?!right\b|correct\b)\w)")
-        for sentence in moves.sentences(text):
+        sentences = moves.sentences(text)
+        for sentence, following in zip(sentences, [*sentences[1:], ""], strict=True):
             # "what time is the first matinee?" is no question about others
             is_others = bool(moves.others(re.sub(rf"\b{name}", "it", sentence)))
             about = subject.sub(r"\1 it", sentence)
@@ -91,6 +92,9 @@ class Questions:
                 found = self._answer(record or near or {}, about, words)
             else:
                 found = None
+            if found is not None and self._is_refused(sentence, following):
+                rest.append(f"not {sentence.rstrip(' ?')} .")
+                continue
             if found is None:
                 rest.append(sentence)
                 continue
@@ -107,11 +111,13 @@ class Questions:
     ) -> tuple[str, dict[str, str], bool] | None:
         """Returns an answer, its values, and whether it agrees; ``None`` if there is no answer."""
         is_whether = moves.says(sentence, "whether")
-        is_about = is_whether or moves.says(sentence, "question")
+        is_about = is_whether or moves.says(sentence, "question", "perk")
         if not is_about or moves.accepts(sentence):
             return None
         reading = self._hear(sentence, None)
         kinds = self._spelling.lexicon.kinds
+        if moves.says(sentence, "perk") and self._hear.is_bare(reading.frame):
+            return self._nlg.say("unknown_question", **words), {}, True
         if any(not one.candidates and kinds[one.slot] != "text" for one in reading.unclear):
             return self._nlg.say("unknown_question", **words), {}, True  # "Is the 14th a weekend?"
         meant = {slot: [value] for slot, value in reading.frame.informs.items()}
@@ -193,15 +199,22 @@ class Questions:
         if not told:
             use = "no_promise" if untold else "unknown_question"
             return self._nlg.say(use, values=untold, **words), {}, False
-        lead = self._nlg.say("yes" if len(untold) == len(missing) else "no", **words)
-        answer = f"{lead} {self._nlg.agent(Frame('inform', told), **words)}"
+        answer = self._nlg.agent(Frame("inform", told), **words)
+        if " or " not in sentence:  # "each, or for both?" is no matter of yes or no
+            lead = self._nlg.say("yes" if len(untold) == len(missing) else "no", **words)
+            answer = f"{lead} {answer}"
         if untold:
             answer += f" {self._nlg.say('no_promise', values=untold, **words)}"
         return answer, told, not missing
 
+    def _is_refused(self, sentence: str, following: str) -> bool:
+        """Returns whether a sentence echoes a name to refuse it: "Seattle? No, in Reno"."""
+        is_echo = sentence.endswith("?") and not moves.says(sentence.rstrip(" ?"), "question")
+        return is_echo and moves.says(following, "no_first")
+
     def _is_unheard(self, sentence: str) -> bool:
         """Returns whether a sentence asks whether, and it was not heard what."""
-        if not moves.says(sentence, "whether") or moves.says(sentence, "running"):
+        if moves.says(sentence, "running") or not moves.says(sentence, "whether", "perk"):
             return False
         reading = self._hear(sentence, None)
         is_bare = self._hear.is_bare(reading.frame) and not reading.unclear

@@ -10,7 +10,13 @@ import torch
 
 from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.values import FIRST_VALUE, NONE
-from bbq_torchrl.people.language.quantities import about_minutes, day_of, kind_of, minutes_of
+from bbq_torchrl.people.language.quantities import (
+    about_minutes,
+    day_of,
+    kind_of,
+    minutes_of,
+    read_time,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping, Sequence
@@ -22,6 +28,7 @@ if TYPE_CHECKING:
 _EVIDENCE = 8  # values of a slot with several records, each with one value of the determined slot
 _SAMPLE = 100  # values that tell a slot's kind
 _PART = 150  # minutes: "in the evening" is from 4:30 to 9:30 pm
+_NIGHT = 240  # minutes: until 4 am it is still the evening
 _RARE = 1 / 8
 """A slot that goals constrain less often than this share of the most frequent one is minor."""
 _COSTS = {"time": 1, "date": 2, "price": 2, "count": 2, "text": 3}
@@ -80,12 +87,13 @@ class Records:
         kinds = [kind_of(texts[FIRST_VALUE:][:_SAMPLE]) for texts in domain.vocabulary]
         costs = torch.tensor([_EACH + _COSTS[kind] for kind in kinds], dtype=torch.float64)
         self._is_place = self.determines.any(0) & ~self.minor
+        self._is_wide = self.determines[self._is_place].any(0)  # as a state
         self._is_placed = (self.has[:, :, None] & self.determines).any(1)
         self._contradicts = self.has & ~self.minor
         self._costs = costs + _OPENING * domain.opening
         self.opening, self.lasting = domain.opening, self._is_place | domain.opening
         self._minutes = {
-            slot: torch.tensor([minutes_of(text) for text in domain.vocabulary[slot]])
+            slot: torch.tensor([_in_evening(minutes_of(text)) for text in domain.vocabulary[slot]])
             for slot, kind in enumerate(kinds)
             if kind == "time"
         }
@@ -144,8 +152,9 @@ class Records:
         """Returns, for each part of the day held, which records have a time in it, bool ``[R]``."""
         found = {}
         for number, minutes in self._minutes.items():
-            middle = about_minutes(self.vocabulary[number][held[number]])
-            if minutes[held[number]].isnan() and not isnan(middle):
+            wish = self.vocabulary[number][held[number]]
+            middle = about_minutes(wish)
+            if read_time(wish) is None and not isnan(middle):
                 found[number] = (minutes[self._values[:, number]] - middle).abs() <= _PART
         return found
 
@@ -183,7 +192,7 @@ class Records:
             refused: differences that the person refused.
             asked: slots that the record should have.
             slot: a slot that must differ; ``None`` for any.
-            direction: 1 for a later, -1 for an earlier value of ``slot``.
+            direction: 1 for a later, -1 for an earlier time.
             stays: bool ``[S]``, slots that may not differ, but for ``slot``.
 
         Returns:
@@ -194,6 +203,7 @@ class Records:
         others = self._misses(self._implied(held))
         far, nowhere = (part & self.lasting for part in others)
         cost = (differs * self._costs).sum(-1) + torch.where(absent > 1, 1e4, 10.0) * absent
+        cost += _PLACE * (lacks & self._is_wide & self.has).any(-1)
         cost += _EACH * self._is_vague  # "after work" only if nothing else is as near
         cost += _EACH / 2 * (lacks & self.minor).sum(-1)
         cost += _PLACE * ((far & self._is_place).any(-1) + 1.2 * nowhere.any(-1))
@@ -203,10 +213,10 @@ class Records:
             cost -= is_near * _EACH
         for number, minutes in self._minutes.items():
             wish = self.vocabulary[number][held[number]]
-            away = minutes[self._values[:, number]] - about_minutes(wish)
-            cost += _EACH * (differs[:, number] & minutes[held[number]].isnan())
+            away = minutes[self._values[:, number]] - _in_evening(about_minutes(wish))
+            cost += _EACH * (differs[:, number] & (number in self.parts(held)))
             cost += torch.where(exactly[:, number], (away.abs() / 1_440).nan_to_num(1.0), 0.0)
-            if slot == number and direction and not minutes[held[number]].isnan():
+            if direction and not minutes[held[number]].isnan():
                 cost += torch.where(away * direction > 0, 0.0, torch.inf)
         is_out = ~exactly.any(-1) if slot is None else ~exactly[:, slot]
         if stays is not None:
@@ -265,7 +275,7 @@ class Records:
         others[slot] = NONE
         differs, lacks = self._misses(others)
         fits = ~(differs | (lacks & ~self.minor)).any(-1) & self.has[:, slot]
-        fits &= self.parts(held).get(slot, True)
+        fits &= self.parts(held).get(slot, True) & ~(lacks & self._is_wide & self.has).any(-1)
         missing = torch.where(fits, lacks.sum(-1), len(held))
         found = self._values[fits & (missing == missing.min()), slot]
         values, counts = found[found != held[slot]].unique(return_counts=True)
@@ -335,6 +345,11 @@ def _dependencies(domain: DomainTensors) -> Tensor:
         is_only = ((values == highest.gather(0, of)) | ~both).all(0)
         found[one] = is_only & (often.sum(0) >= _EVIDENCE) & domain.constrains
     return found & ~torch.eye(domain.n_slots, dtype=torch.bool)
+
+
+def _in_evening(minutes: float) -> float:
+    """Returns the minutes of a time on the day whose evening it ends: midnight is late."""
+    return minutes + 1_440 if minutes < _NIGHT else minutes
 
 
 def _numbered(texts: Sequence[str]) -> Tensor:

@@ -65,8 +65,9 @@ class WaysOut:
         self._free = torch.tensor([slot in domain.free_slots for slot in domain.slots])
         special = {*domain.special_slots}
         self._own = self._free & torch.tensor([slot not in special for slot in domain.slots])
-        index, self._spoken_of = domain.slots.index, {action.slot for action in domain.actions}
-        names = [slot for slot in kinds if slot in self._spoken_of and kinds[slot] == "text"]
+        index, asked = domain.slots.index, {action.slot for action in domain.actions}
+        self._listed = {slot for slot in kinds if slot in asked and records.is_listed(index(slot))}
+        names = [slot for slot in kinds if slot in asked and kinds[slot] == "text"]
         # The slot with the most values, as the theater, and what a dialogue is about.
         self._holder = max(names, key=lambda slot: len(records.vocabulary[index(slot)]))
         self._thing = next(iter(domain.opening_slots), self._holder)
@@ -126,7 +127,12 @@ class WaysOut:
             held = torch.where(takes != NONE, takes, held)
         is_wish = (is_wish | named | records.opening) & ~records.determines[:, number]
         is_other = bool(way) or moves.says(text, "else")
-        base, found = held, self._choices(held, number, way, end, is_other=is_other)
+        # "Would another theater have a later one?"
+        is_time = self._flags([s for s, kind in self._lexicon.kinds.items() if kind == "time"])
+        is_moved = bool(way) and not is_time[number]
+        base, found = held, []
+        if not is_moved:
+            found = self._choices(held, number, way, end, is_other=is_other)
         if len(found) < 2 and not (way or end):  # leave out what the agent chose
             base = torch.where(is_wish, held, NONE)
             found = self._choices(base, number, is_other=is_other) or found
@@ -134,7 +140,8 @@ class WaysOut:
             values = tuple(records.vocabulary[number][value] for value in found)
             return self._several(now, reading, slot, values, words)
         # The wishes stay, unless none has them all.
-        fixed = records.lasting | (is_wish if is_met else named)
+        fixed = records.lasting | (is_wish & (is_met | records.determines.any(0))) | named
+        fixed &= ~(is_time & is_moved)
         fixed[number] = False
         as_told = base.clone()
         as_told[number] = full(now.state)[number]
@@ -155,6 +162,10 @@ class WaysOut:
         if is_free and (change := nearest(stays=fixed & (records.lasting | named))):
             answer = propose(change)
             return replace(answer, text=f"{sentence} {answer.text}")
+        if is_met and not (now.proposal or now.is_offered or refused):  # the one that there is
+            row = records.row(full(now.state), {})
+            rest = torch.where(self._place & (row != full(now.state)), row, NONE)
+            now = replace(now, proposal=self._tracking.values(rest))
         if now.proposal or now.is_offered:
             sentence += f" {self._nlg.say('stands', **words)}"
         now = replace(now, asking=Asking())
@@ -231,7 +242,9 @@ class WaysOut:
             return [*question.requests], []
         first = " ".join(moves.after_other(wanted))
         names = [*moves.named_slots(first, lexicon), *moves.named_slots(wanted, lexicon)]
-        slots = who or [s for s in names if s in self._spoken_of and s not in stays]
+        slots = who or [s for s in names if s in self._listed and s not in stays]
+        if moves.says(wanted, "something_else"):  # "something else with good reviews"
+            slots = [slot for slot in slots if slot not in informs]
         # "Anything other than Oppenheimer in 3D?"
         excluded = named_values(" ".join(other), told, lexicon)
         slots = slots or [slot for slot in excluded if slot not in informs]
@@ -322,16 +335,26 @@ class WaysOut:
         row = self._records.row(held, change, refused)
         return self._tracking.values(torch.where(self._free & (held >= FIRST_VALUE), held, row))
 
-    def is_whole(self, memory: Memory) -> bool:
-        """Returns whether all of a proposed record was told, or is in the proposal."""
+    def is_whole(self, memory: Memory, told: Mapping[str, str]) -> bool:
+        """Returns whether all of a proposed record was told, or is in the proposal.
+
+        Args:
+            memory: the memory with the proposal.
+            told: what the reply to it tells; it may add for how many, and change nothing.
+        """
         assert memory.state is not None
         held, proposed = full(memory.state), torch.tensor(self._tracking.ids(memory.proposal))
-        row = torch.tensor(self._tracking.ids(self.nearest(memory)))
+        row, news = (torch.tensor(self._tracking.ids(of)) for of in (self.nearest(memory), told))
+        is_added = self._own & (held < FIRST_VALUE) & (news != NONE)
+        held = torch.where(is_added, news, held)
         is_told = (memory.state["wished"] > 0) & (held == row) | (proposed != NONE)
-        is_met = (held < FIRST_VALUE) | (held == row) | (proposed != NONE)
+        is_met = (held < FIRST_VALUE) | (held == row) | (proposed != NONE) | is_added
         is_own = self._place & self._own
-        is_missing = (self._place & (row != NONE) & ~is_told) | (is_own & (held < FIRST_VALUE))
-        return bool((is_met & ~is_missing).all())
+        is_missing = (self._place & (row != NONE) & ~(is_told | is_added)) | (
+            is_own & (held < FIRST_VALUE)
+        )
+        is_same = ~self._own | (news == NONE) | (news == held)
+        return bool((is_met & is_same & ~is_missing).all())
 
     def implied(self, values: Mapping[str, str]) -> dict[str, str]:
         """Returns values with those that they determine, as a theater its city."""
@@ -343,7 +366,7 @@ class WaysOut:
         """Yields what else an act may wish after which no record has all that is held, by slot.
 
         What is asked for is no wish ("what is on at the other one?"), and what is told takes back
-        what is elsewhere, as a city the theater.
+        what is elsewhere, as a city the theater and a theater the city.
 
         Args:
             state: the state after the act.
@@ -353,11 +376,11 @@ class WaysOut:
         free = {slot: ANY for slot in understood.requests if slot in kept and slot not in told}
         yield free
         both = (self._pairs(told), self._pairs({s: kept[s] for s in kept.keys() - told.keys()}))
+        is_tied = self._records.determines | self._records.determines.T
         yield free | {
             self._slots[one[0]]: ANY
             for other, one in product(*both)
-            if self._records.determines[one[0], other[0]]
-            and not self._records.with_any([[one, other]]).any()
+            if is_tied[one[0], other[0]] and not self._records.with_any([[one, other]]).any()
         }
 
     def in_time(self, state: TensorDict) -> dict[str, str]:
@@ -422,6 +445,16 @@ class WaysOut:
             shown = self._tracking.values(self._place * row)
             named = {**named, **{s: v for s, v in shown.items() if said.get(s) == v}}
         sentence = self._nlg.say(use, values=conflict, other=named, **words)
+        # Details that are wished and that this record does not have, unlike the last one.
+        has = self.nearest(now) if now.proposal or now.is_offered else None
+        lost = records.minor & (held >= FIRST_VALUE) & (row != held) & (ids == NONE)
+        absent = {
+            slot: value
+            for slot, value in self._tracking.values(torch.where(lost, held, NONE)).items()
+            if slot not in conflict and (has is None or has.get(slot) == value)
+        }
+        if absent:
+            sentence = f"{self._nlg.say('no_promise', values=absent, **words)} {sentence}"
         now = replace(now, proposal=proposal, times=times)
         return Answer(sentence, reading, reading.frame, Frame("not_sure", proposal), now)
 
