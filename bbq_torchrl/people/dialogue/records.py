@@ -87,7 +87,8 @@ class Records:
         kinds = [kind_of(texts[FIRST_VALUE:][:_SAMPLE]) for texts in domain.vocabulary]
         costs = torch.tensor([_EACH + _COSTS[kind] for kind in kinds], dtype=torch.float64)
         self._is_place = self.determines.any(0) & ~self.minor
-        self._is_wide = self.determines[self._is_place].any(0)  # as a state
+        # What a place determines and determines nothing, as a state.
+        self._is_wide = self.determines[self._is_place].any(0) & ~self.determines.any(1)
         self._is_placed = (self.has[:, :, None] & self.determines).any(1)
         self._contradicts = self.has & ~self.minor
         self._costs = costs + _OPENING * domain.opening

@@ -160,8 +160,7 @@ class WaysOut:
         sentence = self._nlg.say(use if place else "only", [slot], values=place, **words)
         is_free = not (end or "only" in text) and now.times < _MAX_PROPOSALS
         if is_free and (change := nearest(stays=fixed & (records.lasting | named))):
-            answer = propose(change)
-            return replace(answer, text=f"{sentence} {answer.text}")
+            return propose(change, lead=sentence)
         if is_met and not (now.proposal or now.is_offered or refused):  # the one that there is
             row = records.row(full(now.state), {})
             rest = torch.where(self._place & (row != full(now.state)), row, NONE)
@@ -408,6 +407,7 @@ class WaysOut:
         words: dict[str, Any],
         asked: Sequence[int] = (),
         held: torch.Tensor | None = None,
+        lead: str = "",
     ) -> Answer:
         """Returns the proposal of a record, or the question what may change.
 
@@ -420,6 +420,7 @@ class WaysOut:
             words: what determines the words.
             asked: the slots asked for; the proposal tells their values.
             held: long ``[S]``, the values that the record should have; ``None`` for all held.
+            lead: a sentence before it that says what there is none of.
         """
         assert now.state is not None
         held, records = full(now.state) if held is None else held, self._records
@@ -434,7 +435,7 @@ class WaysOut:
             told = self._tracking.values(torch.where(held >= FIRST_VALUE, held, self._place * row))
             names = [*conflict] or [*told][:_MAX_NAMED]
             sentence = self._nlg.say("nothing", names, **words)
-            now = replace(now, proposal={}, times=0)
+            now, sentence = replace(now, proposal={}, times=0), f"{lead} {sentence}".strip()
             return Answer(sentence, reading, reading.frame, Frame("not_sure"), now)
         is_near = not conflict or records.is_same_day(held, change)
         use, named = "another" if is_near else "way_out", proposal
@@ -445,18 +446,24 @@ class WaysOut:
             shown = self._tracking.values(self._place * row)
             named = {**named, **{s: v for s, v in shown.items() if said.get(s) == v}}
         sentence = self._nlg.say(use, values=conflict, other=named, **words)
-        # Details that are wished and that this record does not have, unlike the last one.
-        has = self.nearest(now) if now.proposal or now.is_offered else None
-        lost = records.minor & (held >= FIRST_VALUE) & (row != held) & (ids == NONE)
-        absent = {
-            slot: value
-            for slot, value in self._tracking.values(torch.where(lost, held, NONE)).items()
-            if slot not in conflict and (has is None or has.get(slot) == value)
-        }
-        if absent:
-            sentence = f"{self._nlg.say('no_promise', values=absent, **words)} {sentence}"
+        if not lead and (lost := self._lost(now, held, row, conflict)):
+            lead = self._nlg.say("no_promise", values=lost, **words)
+        sentence = f"{lead} {sentence}".strip()
         now = replace(now, proposal=proposal, times=times)
         return Answer(sentence, reading, reading.frame, Frame("not_sure", proposal), now)
+
+    def _lost(
+        self, now: Memory, held: torch.Tensor, row: torch.Tensor, conflict: Collection[str]
+    ) -> dict[str, str]:
+        """Returns the details wished that a record does not have, unlike the last one."""
+        lost = self._records.minor & (held >= FIRST_VALUE) & (row != held)
+        has = self.nearest(now) if now.proposal or now.is_offered else None
+        names = " ".join(self._tracking.values(row).values())
+        return {
+            slot: value
+            for slot, value in self._tracking.values(torch.where(lost, held, NONE)).items()
+            if not (slot in conflict or value in names) and (not has or has.get(slot) == value)
+        }
 
     def _pairs(self, values: Mapping[str, str]) -> list[tuple[int, int]]:
         """Returns the values that the domain has as pairs of slot and value id."""
