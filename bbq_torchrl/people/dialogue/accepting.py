@@ -138,6 +138,8 @@ class Accepting:
         is_plain = frame.act != "deny" and ANY not in frame.informs.values()
         if is_plain and moves.books(text) and not reading.unclear:
             beside = replace(reading, confidence=1.0)
+        if beside is None and moves.ends_in_yes(text):  # "that's late. fine, we'll take it"
+            beside = reading
         if beside is not None and not asks and not moves.says(rest or text, "hesitates"):
             told = values_of(beside.frame)
             is_repeated = told.items() <= offer.items()

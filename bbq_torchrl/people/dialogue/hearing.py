@@ -269,5 +269,7 @@ class Hearing:
                 return reading
             asks = Frame("request", reading.frame.informs, tuple(dict.fromkeys(requests)))
             return replace(reading, frame=asks)
-        frame = Frame("request", reading.frame.informs, named)
+        free = self._domain.free_slots
+        told = {s: v for s, v in alone.frame.informs.items() if is_better and s not in free}
+        frame = Frame("request", {**told, **reading.frame.informs}, named)
         return replace(reading, frame=frame, confidence=alone.confidence)

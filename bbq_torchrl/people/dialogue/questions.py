@@ -116,7 +116,7 @@ class Questions:
             return None
         reading = self._hear(sentence, None)
         kinds = self._spelling.lexicon.kinds
-        if moves.says(sentence, "perk") and self._hear.is_bare(reading.frame):
+        if moves.says(sentence, "perk") and self._is_unheard(sentence):
             return self._nlg.say("unknown_question", **words), {}, True
         if any(not one.candidates and kinds[one.slot] != "text" for one in reading.unclear):
             return self._nlg.say("unknown_question", **words), {}, True  # "Is the 14th a weekend?"
@@ -217,9 +217,12 @@ class Questions:
         if moves.says(sentence, "running") or not moves.says(sentence, "whether", "perk"):
             return False
         reading = self._hear(sentence, None)
-        is_bare = self._hear.is_bare(reading.frame) and not reading.unclear
+        if reading.frame.informs or reading.unclear:
+            return False
+        asked = {*reading.frame.requests} - self._free
+        is_named = bool(asked) and asked <= {*self._spelling.named(sentence, asked)}
         is_guess = reading.frame.act == "confirm_question" or self._hear.is_unsure(reading)
-        return is_bare and is_guess
+        return is_guess and not is_named
 
     def _is_of(self, sentence: str, meant: Mapping[str, Sequence[str]]) -> bool:
         """Returns whether a question is of something named, as "is the 2:40 one left?"."""

@@ -15,6 +15,7 @@ from bbq_torchrl.people.language.quantities import (
     day_of,
     kind_of,
     minutes_of,
+    of_evening,
     read_time,
 )
 
@@ -28,7 +29,6 @@ if TYPE_CHECKING:
 _EVIDENCE = 8  # values of a slot with several records, each with one value of the determined slot
 _SAMPLE = 100  # values that tell a slot's kind
 _PART = 150  # minutes: "in the evening" is from 4:30 to 9:30 pm
-_NIGHT = 240  # minutes: until 4 am it is still the evening
 _RARE = 1 / 8
 """A slot that goals constrain less often than this share of the most frequent one is minor."""
 _COSTS = {"time": 1, "date": 2, "price": 2, "count": 2, "text": 3}
@@ -94,7 +94,7 @@ class Records:
         self._costs = costs + _OPENING * domain.opening
         self.opening, self.lasting = domain.opening, self._is_place | domain.opening
         self._minutes = {
-            slot: torch.tensor([_in_evening(minutes_of(text)) for text in domain.vocabulary[slot]])
+            slot: torch.tensor([of_evening(minutes_of(text)) for text in domain.vocabulary[slot]])
             for slot, kind in enumerate(kinds)
             if kind == "time"
         }
@@ -214,7 +214,7 @@ class Records:
             cost -= is_near * _EACH
         for number, minutes in self._minutes.items():
             wish = self.vocabulary[number][held[number]]
-            away = minutes[self._values[:, number]] - _in_evening(about_minutes(wish))
+            away = minutes[self._values[:, number]] - of_evening(about_minutes(wish))
             cost += _EACH * (differs[:, number] & (number in self.parts(held)))
             cost += torch.where(exactly[:, number], (away.abs() / 1_440).nan_to_num(1.0), 0.0)
             if direction and not minutes[held[number]].isnan():
@@ -346,11 +346,6 @@ def _dependencies(domain: DomainTensors) -> Tensor:
         is_only = ((values == highest.gather(0, of)) | ~both).all(0)
         found[one] = is_only & (often.sum(0) >= _EVIDENCE) & domain.constrains
     return found & ~torch.eye(domain.n_slots, dtype=torch.bool)
-
-
-def _in_evening(minutes: float) -> float:
-    """Returns the minutes of a time on the day whose evening it ends: midnight is late."""
-    return minutes + 1_440 if minutes < _NIGHT else minutes
 
 
 def _numbered(texts: Sequence[str]) -> Tensor:

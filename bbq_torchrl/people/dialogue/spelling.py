@@ -16,6 +16,7 @@ from bbq_torchrl.people.language.quantities import (
     about_minutes,
     day_of,
     minutes_of,
+    of_evening,
     read_time,
 )
 from bbq_torchrl.people.language.words import tokenize
@@ -28,7 +29,7 @@ if TYPE_CHECKING:
 
 _RESERVED = frozenset(fold(text) for text in RESERVED_TEXT.values())
 _LATER = PART_WORDS - {"morning"} | {"tonight"}
-_SPANS = {"at": (0, 0), "around": (-60, 60), "after": (0, inf), "before": (-inf, 0)}  # minutes
+_SPANS = {"at": (0, 0), "around": (-60, 60), "after": (1, inf), "before": (-inf, -1)}  # minutes
 _CLOSE = 0.8  # the score of a name that fits
 _PART = re.compile(r"\b(morning|afternoon|evening) (?:show|screening|session|time|slot|one)")
 _CLOCK = 4  # words of a time: "half past eleven"
@@ -103,13 +104,17 @@ class Spelling:
             named = {s: one.values[0] for s, one in links.items() if one.is_exact}
             is_one = part[0].endswith(" one") and not any(map(str.isdigit, text))  # not 1 pm
             values = {**values, **named} if is_one else {**named, **values}
+        words = tokenize(text)
         for slot, value in self.of(values).items():
+            place = self.lexicon.place(words, slot, value)
+            before = words[place.start - 1 : place.start] if place is not None else []
+            if self.lexicon.kinds.get(slot) == "time" and before in (["before"], ["after"]):
+                names.append(Unclear(slot, f"{before[0]} {value}"))
+                continue
             options = self._options(text, slot, value, informed.get(slot))
             if len(options) == 1 and self._has(slot, options[0]):
                 found[slot] = options[0]
             else:
-                words = tokenize(text)
-                place = self.lexicon.place(words, slot, value)
                 typed = value if place is None else " ".join(words[place.start : place.stop])
                 several = options if len(options) > 1 else self.lexicon.longer(words, slot, typed)
                 names.append(Unclear(slot, typed, several))
@@ -135,7 +140,8 @@ class Spelling:
             return replace(name, slot=slot, candidates=links[slot].values) if is_close else name
         relation, clock = read.rstrip("?").split()
         times = (value for value in lexicon.values(slot) if self._has(slot, value))
-        away = {value: minutes_of(value) - minutes_of(clock) for value in times}
+        to = of_evening(minutes_of(f"at {clock}"))
+        away = {value: of_evening(minutes_of(value)) - to for value in times}
         fit = (value for value in away if _SPANS[relation][0] <= away[value] <= _SPANS[relation][1])
         return replace(name, candidates=tuple(sorted(fit, key=lambda value: abs(away[value]))))
 
@@ -144,7 +150,7 @@ class Spelling:
         key, kind = self.lexicon.key, self.lexicon.kinds.get(slot)
         if kind == "time" and read_time(said) and read_time(own):
             return about_minutes(said) == about_minutes(own)
-        is_day = kind == "date" and day_of(own) == fold(said)
+        is_day = kind == "date" and fold(said) in (day_of(own), day_of(own).removeprefix("next "))
         return is_day or key(slot, own) == key(slot, said)
 
     def is_vague_time(self, slot: str, value: str) -> bool:

@@ -310,6 +310,8 @@ class WaysOut:
                 left = left or tuple(value for value in one.candidates if value in fit)
             if self._lexicon.kinds[one.slot] == "time":  # the nearest time, if none fits
                 left = left or one.candidates[:1]
+            elif len(one.candidates) > 1:  # which of them, though none fits
+                left = left or one.candidates
             if len(left) == 1:
                 informs[one.slot] = left[0]
             else:

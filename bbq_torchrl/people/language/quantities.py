@@ -139,6 +139,7 @@ RELATION_WORDS = frozenset(
 _BEFORE_NOON = frozenset(("am", "a.m", "a.m.", "morning"))
 _AFTER_NOON = frozenset(("pm", "p.m", "p.m.", "afternoon", "evening", "night", "tonight"))
 _HOURS = {"morning": 10, "matinee": 14, "afternoon": 15, "evening": 19, "tonight": 19, "night": 21}
+_NIGHT = 240  # minutes: until 4 am it is still the evening
 _NAMED_TIMES = {"noon": "12:00", "midday": "12:00", "midnight": "00:00"}
 _RELATION = re.compile(
     rf"(?:(?:{'|'.join(ENGLISH['before_relations'].split())}) )*"
@@ -207,6 +208,11 @@ def about_minutes(text: str) -> float:
         relation, clock = read.split()
         return minutes_of(clock) + {"after": 60, "before": -60}.get(relation, 0)
     return next((60.0 * _HOURS[word] for word in tokenize(text) if word in _HOURS), math.nan)
+
+
+def of_evening(minutes: float) -> float:
+    """Returns the minutes of a time on the day whose evening it ends: midnight is late."""
+    return minutes + 1_440 if minutes < _NIGHT else minutes
 
 
 def day_of(text: str) -> str:
