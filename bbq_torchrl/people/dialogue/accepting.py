@@ -104,7 +104,7 @@ class Accepting:
         known = {**record, **proposal}
         is_known = all(known.get(s) == value for s, value in told.items() if s not in self._free)
         is_yes = beside is not None and is_known and not (requests or said.unclear)
-        is_yes &= not moves.says(text, "hesitates")
+        is_yes &= not moves.says(text, "hesitates", "but")
         taken = replace(said, frame=frame, confidence=max(said.confidence, DOUBTFUL))
         return taken, is_yes or moves.accepts(text)
 
@@ -138,9 +138,11 @@ class Accepting:
         is_plain = frame.act != "deny" and ANY not in frame.informs.values()
         if is_plain and moves.books(text) and not reading.unclear:
             beside = replace(reading, confidence=1.0)
-        if beside is None and moves.ends_in_yes(text):  # "that's late. fine, we'll take it"
+        is_end = moves.ends_in_yes(text)
+        if beside is None and is_end:  # "a bit late, but fine, we'll take it"
             beside = reading
-        if beside is not None and not asks and not moves.says(rest or text, "hesitates"):
+        doubts = ["hesitates"] if is_end else ["hesitates", "but"]
+        if beside is not None and not asks and not moves.says(rest or text, *doubts):
             told = values_of(beside.frame)
             is_repeated = told.items() <= offer.items()
             # "sonds good, yes"
@@ -159,7 +161,9 @@ class Accepting:
             return replace(reading, frame=Frame("deny"), confidence=1.0, unclear=()), False
         is_bare = self._hear.is_bare
         is_vague = is_bare(frame) and frame.act not in ("deny", "closing")
-        is_vague = is_vague or (is_bare(frame, "deny") and (asks or moves.says(text, "hesitates")))
+        is_vague = is_vague or (
+            is_bare(frame, "deny") and (asks or moves.says(text, "hesitates", "but"))
+        )
         if not is_vague:
             return reading, False
         return replace(reading, frame=Frame("not_sure")), False

@@ -110,14 +110,15 @@ class Hearing:
     ) -> Understood:
         """Returns the reading of a text that asks for others, without values that only say which.
 
-        They are "the last show", "later in the evening", and of a record "9:50 is a bit late".
+        They are "the last show", "later than 9", and of a record "9:50 is a bit late".
         """
         is_moved, kinds = bool(moves.direction(text)), self._spelling.lexicon.kinds
+        is_than = moves.says(text, "than")
 
         def is_which(slot: str, value: str) -> bool:
             is_own = slot in record and self._spelling.is_meant(slot, value, record[slot])
             is_time = is_moved and kinds.get(slot) == "time"
-            is_vague = is_own or self._spelling.is_vague_time(slot, value)
+            is_vague = is_own or is_than or self._spelling.is_vague_time(slot, value)
             return moves.is_relative(value) or (is_time and is_vague)
 
         told = reading.frame.informs
@@ -204,8 +205,11 @@ class Hearing:
             rest = self._nlu(" ".join(others), None).frame.requests if others else ()
             kept = {*rest, *self._spelling.named(text, asked), self._domain.ticket_slot}
             asked = {slot: None for slot in asked if slot in kept}
-        for slot in self._spelling.named(text, informs) if moves.says(text, "question") else ():
+        asking = " ".join(one for one in said if moves.says(one, "question"))
+        for slot in self._spelling.named(asking, informs):
             if informs[slot] != ANY and self._spelling.is_vague_time(slot, informs[slot]):
+                if self._spelling.lexicon.place(asking.split(), slot, informs[slot]) is None:
+                    continue
                 asked[slot] = None
                 if moves.is_relative(informs[slot]) or isnan(about_minutes(informs[slot])):
                     del informs[slot]  # no part of the day
@@ -229,7 +233,9 @@ class Hearing:
             text: the text.
             told: the values that are heard.
         """
-        said, lexicon = tokenize(text), self._spelling.lexicon
+        lexicon, sentences = self._spelling.lexicon, moves.sentences(text)
+        # "Is it a horror movie?" is no wish.
+        said = tokenize(" ".join(one for one in sentences if not moves.says(one, "is_it")))
         found = {}
         for slot, start, end in lexicon.full_names(said):
             before, after = said[:start][-2:], said[end : end + 1]

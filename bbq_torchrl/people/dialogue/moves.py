@@ -119,8 +119,9 @@ def begins_with(text: str, words: str) -> bool:
 
 
 def ends_in_yes(text: str) -> bool:
-    """Returns whether the last words of a text accept, such as "oh well, yes"."""
-    return accepts(_PIECE.findall(_words(text))[-1])
+    """Returns whether the last words of a text accept: "oh well, yes", but not "two, please"."""
+    last = _PIECE.findall(_words(text))[-1]
+    return accepts(last) and not says(last, "polite")
 
 
 def books(text: str) -> bool:
@@ -131,7 +132,9 @@ def books(text: str) -> bool:
         [True, False, False]
     """
     clauses = (clause for clause in _PIECE.findall(_words(text)) if not says(clause, "no"))
-    return not says(text, "question", "hesitates") and any(map(_FIND["books"].search, clauses))
+    return not says(text, "question", "hesitates", "but") and any(
+        map(_FIND["books"].search, clauses)
+    )
 
 
 def asks_whether_any(text: str) -> bool:

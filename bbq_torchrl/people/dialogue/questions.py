@@ -92,7 +92,7 @@ class Questions:
                 found = self._answer(record or near or {}, about, words)
             else:
                 found = None
-            if found is not None and self._is_refused(sentence, following):
+            if self._is_refused(sentence, following):
                 rest.append(f"not {sentence.rstrip(' ?')} .")
                 continue
             if found is None:
