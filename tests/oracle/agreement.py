@@ -1,5 +1,6 @@
 """Plays the same dialogues in the tensor simulator and in the oracle, and compares every turn."""
 
+from collections import Counter
 from random import Random
 
 import torch
@@ -36,7 +37,7 @@ class Comparison:
     def play(self):
         """Plays all dialogues to their ends; raises an AssertionError at the first difference.
 
-        Returns the number of successes.
+        Returns the number of times each rule applied, and the numbers of dialogues and successes.
         """
         mask = self.simulator.action_mask(self.active)
         assert mask.nonzero().flatten().tolist() == self.world.legal_actions()
@@ -60,7 +61,8 @@ class Comparison:
             self.compare(dialogues, going, state)
             assert_ended_dialogues_stay(before, state)
             going = [number for number in going if not dialogues[number].done]
-        return sum(dialogue.success for dialogue in dialogues)
+        successes = sum(dialogue.success for dialogue in dialogues)
+        return self.world.fired + Counter(dialogues=len(dialogues), successes=successes)
 
     def compare(self, dialogues, going, state):
         """Asserts that state and features of these dialogues equal the simulator's."""

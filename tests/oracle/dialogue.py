@@ -1,5 +1,6 @@
 """One dialogue between an agent and the user: turns, ends and rewards."""
 
+from collections import Counter
 from dataclasses import dataclass
 
 from .draws import choose_index
@@ -35,14 +36,16 @@ class Setting:
     slot_error_mode: str = "value"
     intent_error_prob: float = 0.0
     max_turn: int = 40
+    active: tuple[str, ...] | None = None
     extension: int | None = None
     users: tuple = ()
 
     def active_slots(self, domain):
-        """Returns the slots active in this setting."""
-        if self.extension is None:
-            return domain.slots
-        return (*domain.essential, *domain.extension_order[: self.extension])
+        """Returns the slots active in this setting, in slot order."""
+        chosen = domain.slots if self.active is None else self.active
+        if self.extension is not None:
+            chosen = (*domain.essential, *domain.extension_order[: self.extension])
+        return [slot for slot in domain.slots if slot in chosen]
 
 
 class World:
@@ -56,6 +59,7 @@ class World:
         self.ticket, self.complete = domain.special_slots
         self.action_names = [str(action) for action in domain.actions]
         self.active = set(setting.active_slots(domain))
+        self.fired = Counter()
         self.value_order = value_order_of(domain)
         self.records = Records(domain.records, domain.free_slots, self.value_order)
         self.noise = Noise(self)
@@ -95,11 +99,13 @@ class Dialogue:
         self.tracker.speak(kind, act, slot)
         self.turn_count += 2
         if self.turn_count > min(self.world.setting.max_turn, self.user.leaves_after):
+            is_patient = self.turn_count > self.world.setting.max_turn
+            self.world.fired["end: out of " + ("turns" if is_patient else "patience")] += 1
             self._end(success=False)
             return
         self.user.remember_last_act()
         if kind == "act" and act in ("thanks", "closing"):
-            self._end(success=self.user.is_content())
+            self._judge(act)
             return
         self.user.reply(kind, act, slot, self.tracker.agent_informs, offered, draws)
         self.reward = TURN_REWARD
@@ -113,6 +119,13 @@ class Dialogue:
         records = self.world.records
         values = records.values_on(slot, records.matching(self.tracker.held))
         return records.in_order(slot, values)
+
+    def _judge(self, act):
+        faults = self.user.faults()
+        self.world.fired[f"end: {act}, {'failure' if faults else 'success'}"] += 1
+        if len(faults) == 1:
+            self.world.fired[f"end: failure only by {faults[0]}"] += 1
+        self._end(success=not faults)
 
     def _end(self, *, success):
         self.done = True

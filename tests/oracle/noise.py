@@ -10,7 +10,7 @@ class Noise:
     def __init__(self, world):
         self.world = world
         self.setting = world.setting
-        self.slots = world.slots
+        self.slots, self.fired = world.slots, world.fired
         self.error_values = {
             slot: [plain(value) for value in values]
             for slot, values in world.domain.error_values.items()
@@ -34,8 +34,14 @@ class Noise:
                 replacements.append((slot, self._other_value(slot, informs[slot], number, draws)))
             elif mode == "slot":
                 replacements.extend(self._other_slot(slot, number, draws))
-        heard |= dict(replacements)
+            else:
+                self.fired["error: delete"] += 1
+        for slot, value in replacements:
+            if slot in heard:
+                self.fired["error: overlays another slot"] += 1
+            heard[slot] = value
         if draws["intent"] < self.setting.intent_error_prob:
+            self.fired["error: intent"] += 1
             acts = self.world.acts
             act = acts[choose_index(draws["intent_act"], len(acts))]
         return act, heard
@@ -47,7 +53,9 @@ class Noise:
 
     def _other_value(self, slot, value, number, draws):
         if slot not in self.error_values:
+            self.fired["error: value, but no list"] += 1
             return value
+        self.fired["error: value"] += 1
         values = self.error_values[slot]
         return values[choose_index(draws["error_value"][number], len(values))]
 
@@ -58,7 +66,9 @@ class Noise:
             if other != slot and other in self.world.active and other in self.error_values
         ]
         if not others:
+            self.fired["error: slot, but no other"] += 1
             return []
+        self.fired["error: slot"] += 1
         other = others[choose_index(draws["error_slot"][number], len(others))]
         values = self.error_values[other]
         return [(other, values[choose_index(draws["error_value"][number], len(values))])]

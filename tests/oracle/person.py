@@ -74,6 +74,7 @@ class Person(User):
     def _open(self, opening, draws):
         super()._open(opening, draws)
         if self.is_prone["asks_late"]:
+            self.fired["person: keeps its questions"] += bool(self._questions(self.agenda))
             self.pending = {self.ticket}
         self._tell(opening)
 
@@ -82,6 +83,7 @@ class Person(User):
         asked, told = self._questions(self.pending), set(self.constraints) - self.agenda
         if self.bears and asked and kind != "request" and not (kind == "inform" and slot in asked):
             self.bears -= 1
+            self.fired["person: is passed over"] += 1
             self.leaves_after = self.leaves_after if self.bears else 0
         self.changed = self._change_mind(told)
         later = set()
@@ -99,6 +101,7 @@ class Person(User):
         is_known = is_right or (kind == "request" and slot in told)
         is_mild = self.act in ("inform", "thanks") and not self.changed
         if self.is_prone["confirms"] and is_known and is_mild:
+            self.fired[f"person: yes to {'a value' if is_right else 'a question'}"] += 1
             self.act = "confirm_answer"
         if self.informs:
             self._tell([slot, self.changed])
@@ -109,6 +112,7 @@ class Person(User):
         slots = self._liked(told & set(self.others))
         if self.replies <= self.changes_after or not slots:
             return ""
+        self.fired["person: changes its mind"] += 1
         self.constraints[slots[0]] = self.others[slots[0]]
         self.constraints_met, self.others = False, {}
         return slots[0]
@@ -116,6 +120,7 @@ class Person(User):
     def _take_inform(self, slot, value, draws):
         super()._take_inform(slot, value, draws)
         if self.is_prone["withholds"] and self.constraints.get(slot, value) != value:
+            self.fired["person: denies a value"] += 1
             del self.informs[slot]
             self.agenda.add(slot)
             self.act = "deny"
@@ -123,6 +128,7 @@ class Person(User):
     def _judge_offer(self, filled):
         super()._judge_offer(filled)
         if self.is_prone["explains"] and not self.constraints_met:
+            self.fired["person: explains"] += 1
             for slot, value in self.constraints.items():
                 if filled.get(slot) != value:
                     self._inform(slot)
@@ -133,8 +139,10 @@ class Person(User):
         is_late = self.is_prone["asks_late"] and self.constraints_met
         question = []
         if self.is_prone["insists"] and asked:
+            self.fired["person: asks again"] += 1
             question = asked
         elif is_late and is_offer and late:
+            self.fired["person: asks after the offer"] += 1
             question = late
         if question:
             self.pending = set(question)
@@ -143,6 +151,7 @@ class Person(User):
             self.pending -= {self.ticket}
         is_open = (self.agenda | self.pending) - {self.ticket}
         if is_late and not is_open and self.act == "request":
+            self.fired["person: thanks after the last answer"] += 1
             self.act = "thanks"
 
     def _tell(self, first):
@@ -154,6 +163,8 @@ class Person(User):
         ]
         order = [slot for slot in told if slot in first]
         order += [s for s in self._liked(self.constraints) if s in {*told, *self.agenda} - {*order}]
+        self.fired["person: tells less"] += len(told) > self.tells
+        self.fired["person: tells more"] += len(told) < min(self.tells, len(order))
         for slot in told:
             del self.informs[slot]
             self.agenda.add(slot)

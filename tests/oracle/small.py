@@ -5,8 +5,11 @@ from pathlib import Path
 
 from bbq_torchrl.domains import load_domain
 
+from .dialogue import Dialogue, Setting, World
+
 CINEMA = load_domain(Path(__file__).with_name("cinema"))
 SLOTS = CINEMA.slots
+GOAL = CINEMA.goals[0].constraints
 
 ALMOST_ONE = 1 - 2**-24
 
@@ -36,3 +39,15 @@ def draws(**chosen):
         else:
             result[name] = choice
     return result
+
+
+def start(goal, *, first=None, **setting):
+    """Returns a dialogue about one goal in the small cinema, after the user's first act."""
+    world = World(small_domain(goal), Setting(**setting))
+    return Dialogue(world, draws(**(first or {})))
+
+
+def say(dialogue, *actions, **chosen):
+    """Plays agent acts, each with the same draws."""
+    for name in actions:
+        dialogue.turn(CINEMA.actions[CINEMA.action_index(name)], draws(**chosen))

@@ -7,7 +7,7 @@ class Tracker:
     """Holds the latest value of each slot, from either side."""
 
     def __init__(self, world):
-        self.records = world.records
+        self.records, self.fired = world.records, world.fired
         self.ticket, self.complete = world.ticket, world.complete
         self.held = {}
         self.heard_act = ""
@@ -52,7 +52,11 @@ class Tracker:
     def _most_frequent(self, slot, rows):
         counts = self.records.values_on(slot, rows)
         if not counts:
+            self.fired["fill: no match"] += 1
             return NO_MATCH
         most = max(counts.values())
         best = [value for value, count in counts.items() if count == most]
+        if slot in self.held:
+            self.fired["fill: slot held already"] += 1
+        self.fired["fill: only one most frequent" if len(best) == 1 else "fill: tie"] += 1
         return self.records.in_order(slot, best)[0]

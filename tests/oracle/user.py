@@ -1,4 +1,4 @@
-"""The agenda-based user."""
+"""The agenda-based user. Each rule counts its applications in `fired`, which tests check."""
 
 import math
 from types import MappingProxyType
@@ -22,7 +22,7 @@ class User:
             slot: plain(value) for slot, value in goal.constraints.items() if slot in world.active
         }
         self.requests = {slot for slot in goal.requests if slot in world.active} | {world.ticket}
-        self.slots = world.slots
+        self.slots, self.fired = world.slots, world.fired
         self.ticket, self.complete = world.ticket, world.complete
         self.history = {}
         self.constraints_met = False
@@ -35,13 +35,18 @@ class User:
     def _open(self, opening, draws):
         for slot in opening:
             if slot in self.constraints:
+                self.fired["open: the opening slot"] += 1
                 self._inform(slot)
         if self.constraints:
             self._inform(choose_slot(self.constraints, draws["constraint"], self.slots))
+        else:
+            self.fired["open: no constraint"] += 1
         others = self.requests - {self.ticket}
         if others:
+            self.fired["open: a request"] += 1
             self.pending = {choose_slot(others, draws["request"], self.slots)}
         else:
+            self.fired["open: ticket"] += 1
             self.pending = {self.ticket}
 
     def remember_last_act(self):
@@ -50,7 +55,7 @@ class User:
         self.informs = {}
 
     def reply(self, kind, act, slot, filled, offered, draws):
-        """Answers an agent act that does not end the dialogue, by repeating itself if in doubt."""
+        """Answers an agent act that does not end the dialogue."""
         if kind == "request":
             self._answer_request(slot)
         elif kind == "inform" and slot == self.complete:
@@ -61,6 +66,8 @@ class User:
             self._choose(slot, offered, draws)
         elif act == "confirm_answer":
             self._go_on_from_agenda(draws)
+        else:
+            self.fired[f"repeat: {act}"] += 1
 
     # Elementary operations on a slot.
     def _inform(self, slot):
@@ -77,60 +84,78 @@ class User:
     # The replies to the agent's acts.
     def _answer_request(self, slot):
         if slot in self.constraints:
+            self.fired["request: a constraint"] += 1
             self._inform(slot)
             self.pending = set()
             self.act = "inform"
         elif slot in self.requests and slot not in self.agenda and slot in self.history:
+            self.fired["request: an answered request"] += 1
             self.informs[slot] = self.history[slot]
             self.pending = set()
             self.act = "inform"
         elif slot in self.requests and slot in self.agenda:
+            self.fired["request: an open request"] += 1
             for constraint in self._open_constraints():
+                self.fired["request: an open request, with constraints"] += 1
                 self._inform(constraint)
             self._request(slot)
         else:
             self.informs[slot] = DONT_CARE
             if self.pending or self.agenda:
+                self.fired["request: of no interest"] += 1
                 self.act = "inform"
             else:
+                self.fired["request: of no interest, nothing left"] += 1
                 self.act = "thanks"
 
     def _take_inform(self, slot, value, draws):
         self.history[slot] = value
         if slot not in self.constraints:
+            self.fired["inform: no constraint"] += 1
+            if slot == self.ticket:
+                self.fired[f"inform: ticket, {value}"] += 1
             self.agenda.discard(slot)
             self.pending.discard(slot)
             self._continue("B", draws)
         elif value == self.constraints[slot]:
+            self.fired["inform: right"] += 1
             self.agenda.discard(slot)
             self._continue("A", draws)
         else:
+            self.fired["inform: wrong"] += 1
             self._inform(slot)
             self.act = "inform"
 
     def _continue(self, way, draws):
         others = self.agenda - {self.ticket}
         if self.pending:
+            self.fired[f"{way}: a pending request"] += 1
             self.act = "request"
         elif others:
             slot = choose_slot(others, draws["agenda"], self.slots)
             if slot not in self.constraints:
+                self.fired[f"{way}: a request of the agenda"] += 1
                 self._request(slot)
             else:
                 self._inform(slot)
                 if way == "B" and self.ticket in self.agenda:
+                    self.fired["B: a constraint with the ticket"] += 1
                     self._request(self.ticket)
                 else:
+                    self.fired[f"{way}: a constraint"] += 1
                     self.act = "inform"
         elif self.ticket in self.agenda:
+            self.fired[f"{way}: the ticket"] += 1
             self._request(self.ticket)
         else:
+            self.fired[f"{way}: thanks"] += 1
             self.act = "thanks"
 
     def _judge_offer(self, filled):
         wrong = [slot for slot, value in self.constraints.items() if filled.get(slot) != value]
         available = filled[self.complete] == AVAILABLE
         verdict = "deny" if wrong else "thanks"
+        self.fired[f"offer: {verdict}, {'' if available else 'not '}available"] += 1
         self.act = verdict
         self.constraints_met = not wrong
         if wrong:
@@ -142,22 +167,29 @@ class User:
 
     def _go_on_from_agenda(self, draws):
         if not self.agenda:
+            self.fired["confirm_answer: thanks"] += 1
             self.act = "thanks"
             return
         slot = choose_slot(self.agenda, draws["agenda"], self.slots)
         if slot in self.requests:
+            what = "the ticket" if slot == self.ticket else "a request"
+            self.fired[f"confirm_answer: {what}"] += 1
             self._request(slot)
         else:
+            self.fired["confirm_answer: a constraint"] += 1
             self._inform(slot)
             self.act = "inform"
 
     def _choose(self, slot, offered, draws):
         self.act = "inform"
         if slot in self.constraints:
+            self.fired["choice: a constraint"] += 1
             self._inform(slot)
         elif offered:
+            self.fired["choice: one of those offered"] += 1
             self.informs[slot] = list(offered)[choose_index(draws["offer"], len(offered))]
         else:
+            self.fired["choice: nothing offered"] += 1
             self.informs[slot] = DONT_CARE
 
     def close(self):
@@ -165,10 +197,18 @@ class User:
         self.act = "closing"
         self.informs = {}
 
-    def is_content(self):
-        """Returns whether the dialogue has succeeded."""
-        is_open = (self.pending | self.agenda) - {self.ticket}
-        is_broken = NO_MATCH in self.history.values() or any(
-            self.history.get(slot, value) != value for slot, value in self.constraints.items()
-        )
-        return self.constraints_met and not is_open and not is_broken
+    def faults(self):
+        """Returns the reasons why the dialogue has not succeeded; empty on success."""
+        broken = [
+            slot
+            for slot, value in self.constraints.items()
+            if slot in self.history and self.history[slot] != value
+        ]
+        faults = {
+            "constraints not met": not self.constraints_met,
+            "a pending request": bool(self.pending - {self.ticket}),
+            "an agenda": bool(self.agenda - {self.ticket}),
+            "no match in history": NO_MATCH in self.history.values(),
+            "a wrong value in history": bool(broken),
+        }
+        return [name for name, is_so in faults.items() if is_so]
