@@ -40,11 +40,12 @@ _MAX_DENIED = 4
 
 @dataclass(frozen=True)
 class _Turn:
-    """What a reply is made from.
+    """The turn that a reply answers.
 
     Attributes:
         before: the memory before the text.
         record: the values of the record that is proposed or offered, if any, by slot.
+        question: the agent's act that the text answers.
         text: the text, without the questions that are answered already.
         words: what determines the words.
         asks: whether the whole text asks something.
@@ -52,6 +53,7 @@ class _Turn:
 
     before: Memory
     record: Mapping[str, str]
+    question: Frame | None
     text: str
     words: dict[str, Any]
     asks: bool
@@ -125,7 +127,8 @@ class Partner:
         now = replace(before, texts=before.texts + 1)
         words: dict[str, Any] = {"session": seed, "turn": now.texts}
         is_about = bool(before.proposal) or before.is_offered
-        record = self._ways_out.nearest(before) if is_about else {}
+        near = self._ways_out.nearest(before)
+        record = near if is_about else {}
         told = Told("", {}, text)
         try:
             if "drop" in rules and moves.says(text, "restart"):
@@ -137,7 +140,6 @@ class Partner:
                     now, self._nlg.say(topic, self.domain.essential[:_MAX_NAMED], **words)
                 )
             if "answers_first" in rules and not (before.asking.is_check or moves.accepts(text)):
-                near = self._ways_out.nearest(before)
                 told = self._questions(record, text, words, near)
             question = self._question(before)
             reading = self._hear(told.rest or text, question)
@@ -151,7 +153,7 @@ class Partner:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
         if not told.text:
             reading, lead = self._without_strange(reading, question, words)
-            turn = _Turn(before, record, text, words, moves.says(text, "question"))
+            turn = _Turn(before, record, question, text, words, moves.says(text, "question"))
             answer = self._reply(turn, reading)
             return _led(answer, lead)
         is_only = (
@@ -164,7 +166,8 @@ class Partner:
             stands = self._nlg.say("stands", **words) if is_about else ""
             answer = self._say(now, stands, reading)
         else:
-            answer = self._reply(_Turn(before, record, told.rest, words, True), reading)
+            turn = _Turn(before, record, question, told.rest, words, True)
+            answer = self._reply(turn, reading)
         informs = {**told.values, **answer.answered.informs}
         return replace(
             answer,
@@ -203,7 +206,7 @@ class Partner:
         dropped: tuple[str, ...] = ()
         if "drop" in rules:
             held |= before.asking.waiting.informs if before.asking.waiting else {}
-            reading, dropped = self._hear.dropped(reading, text, self._question(before), held)
+            reading, dropped = self._hear.dropped(reading, text, turn.question, held)
         lead = self._nlg.say("dropped", dropped, **turn.words) if dropped else ""
         if others:
             reading = self._hear.without_relative(reading, text, turn.record)
@@ -362,9 +365,8 @@ class Partner:
         changed = {s for s, v in told.items() if s not in known or not is_meant(s, v, known[s])}
         wish = Frame("inform", told | dict.fromkeys(dropped, ANY))
         now = replace(now, state=self._told(turn.before.state, wish)[1])
-        question = self._question(turn.before)
         alternatives = (
-            self._ways_out.others(now, reading, text, question, turn.words, changed)
+            self._ways_out.others(now, reading, text, turn.question, turn.words, changed)
             for text in asking
         )
         found = [answer for answer in alternatives if answer is not None]

@@ -19,7 +19,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.people.dialogue.hearing import Hearing
     from bbq_torchrl.people.dialogue.spelling import Spelling
-    from bbq_torchrl.people.language import EndpointGenerator, Generator
+    from bbq_torchrl.people.language import EndpointGenerator, Generator, Understood
 
 
 @dataclass(frozen=True)
@@ -88,7 +88,7 @@ class Questions:
             about = subject.sub(r"\1 it", sentence)
             if moves.says(sentence, "question") and moves.says(sentence, "untold"):
                 found = self._nlg.say("unknown_question", **words), {}, True
-            elif not is_others and (record or self._is_unheard(sentence)):
+            elif not is_others and (record or self._is_unheard(sentence, None)):
                 found = self._answer(record or near or {}, about, words)
             else:
                 found = None
@@ -116,7 +116,7 @@ class Questions:
             return None
         reading = self._hear(sentence, None)
         kinds = self._spelling.lexicon.kinds
-        if moves.says(sentence, "perk") and self._is_unheard(sentence):
+        if moves.says(sentence, "perk") and self._is_unheard(sentence, reading):
             return self._nlg.say("unknown_question", **words), {}, True
         if any(not one.candidates and kinds[one.slot] != "text" for one in reading.unclear):
             return self._nlg.say("unknown_question", **words), {}, True  # "Is the 14th a weekend?"
@@ -212,11 +212,16 @@ class Questions:
         is_echo = sentence.endswith("?") and not moves.says(sentence.rstrip(" ?"), "question")
         return is_echo and moves.says(following, "no_first")
 
-    def _is_unheard(self, sentence: str) -> bool:
-        """Returns whether a sentence asks whether, and it was not heard what."""
+    def _is_unheard(self, sentence: str, reading: Understood | None) -> bool:
+        """Returns whether a sentence asks whether, and it was not heard what.
+
+        Args:
+            sentence: the sentence.
+            reading: its meaning; ``None`` to read it here.
+        """
         if moves.says(sentence, "running") or not moves.says(sentence, "whether", "perk"):
             return False
-        reading = self._hear(sentence, None)
+        reading = reading or self._hear(sentence, None)
         if reading.frame.informs or reading.unclear:
             return False
         asked = {*reading.frame.requests} - self._free

@@ -167,6 +167,10 @@ class Records:
             lacks[:, number] &= ~is_in
         return differs, lacks
 
+    def _is_elsewhere(self, lacks: Tensor) -> Tensor:
+        """Returns which records are in another state, bool ``[R]``."""
+        return (lacks & self._is_wide & self.has).any(-1)
+
     def is_met(self, held: Tensor) -> bool:
         """Returns whether a record has all values held but details, ``[S]``."""
         differs, lacks = self._misses(held)
@@ -200,11 +204,12 @@ class Records:
             Empty if no record differs in that way.
         """
         exactly, (differs, lacks) = self.compare(held)[0], self._misses(held)
+        parts = self.parts(held)
         absent = (lacks & ~self.minor).sum(-1)
         others = self._misses(self._implied(held))
         far, nowhere = (part & self.lasting for part in others)
         cost = (differs * self._costs).sum(-1) + torch.where(absent > 1, 1e4, 10.0) * absent
-        cost += _PLACE * (lacks & self._is_wide & self.has).any(-1)
+        cost += _PLACE * self._is_elsewhere(lacks)
         cost += _EACH * self._is_vague  # "after work" only if nothing else is as near
         cost += _EACH / 2 * (lacks & self.minor).sum(-1)
         cost += _PLACE * ((far & self._is_place).any(-1) + 1.2 * nowhere.any(-1))
@@ -215,7 +220,7 @@ class Records:
         for number, minutes in self._minutes.items():
             wish = self.vocabulary[number][held[number]]
             away = minutes[self._values[:, number]] - of_evening(about_minutes(wish))
-            cost += _EACH * (differs[:, number] & (number in self.parts(held)))
+            cost += _EACH * (differs[:, number] & (number in parts))
             cost += torch.where(exactly[:, number], (away.abs() / 1_440).nan_to_num(1.0), 0.0)
             if direction and not minutes[held[number]].isnan():
                 cost += torch.where(away * direction > 0, 0.0, torch.inf)
@@ -276,7 +281,7 @@ class Records:
         others[slot] = NONE
         differs, lacks = self._misses(others)
         fits = ~(differs | (lacks & ~self.minor)).any(-1) & self.has[:, slot]
-        fits &= self.parts(held).get(slot, True) & ~(lacks & self._is_wide & self.has).any(-1)
+        fits &= self.parts(held).get(slot, True) & ~self._is_elsewhere(lacks)
         missing = torch.where(fits, lacks.sum(-1), len(held))
         found = self._values[fits & (missing == missing.min()), slot]
         values, counts = found[found != held[slot]].unique(return_counts=True)

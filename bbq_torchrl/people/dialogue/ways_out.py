@@ -422,7 +422,7 @@ class WaysOut:
             words: what determines the words.
             asked: the slots asked for; the proposal tells their values.
             held: long ``[S]``, the values that the record should have; ``None`` for all held.
-            lead: a sentence before it that says what there is none of.
+            lead: the sentence to begin with, as "There is nothing later".
         """
         assert now.state is not None
         held, records = full(now.state) if held is None else held, self._records
