@@ -83,12 +83,12 @@ class Accepting:
         """
         proposal = before.proposal
         beside = self._beside_yes(before, text, proposal)
-        said = beside or reading
+        said = self._hear.of_record(beside or reading, record, text)
         # "tonight" is a date, or a time.
         own = {fold(value): slot for slot, value in proposal.items()}
         told = {own.get(fold(value), slot): value for slot, value in values_of(said.frame).items()}
         free = {s: v for s, v in values_of(reading.frame).items() if s in self._free}
-        told = {**free, **told}
+        told = self._spelling.besides({**free, **told}, record)
         requests = said.frame.requests
         is_meant = self._spelling.is_meant
         told |= {s: own for s, own in proposal.items() if s in told and is_meant(s, told[s], own)}
@@ -133,17 +133,21 @@ class Accepting:
         offer = {**record, **self._tracking.kept(before.state)}
         beside = self._beside_yes(before, text, offer)
         rest = moves.beside_yes(text)
-        if rest == "":
+        free = {s: v for s, v in values_of(frame).items() if s in self._free and s not in offer}
+        if free and rest == "":  # "just one for me, thanks"
+            beside = replace(reading, confidence=1.0)
+        elif rest == "":
             return Understood(Frame("thanks"), 1.0, source=reading.source), False
         is_plain = frame.act != "deny" and ANY not in frame.informs.values()
         if is_plain and moves.books(text) and not reading.unclear:
             beside = replace(reading, confidence=1.0)
         is_end = moves.ends_in_yes(text)
-        if beside is None and is_end:  # "a bit late, but fine, we'll take it"
+        # "a bit late, but fine, we'll take it", "great, two tickets please"
+        if beside is None and (is_end or (is_plain and moves.begins_in_yes(text))):
             beside = reading
         doubts = ["hesitates"] if is_end else ["hesitates", "but"]
         if beside is not None and not asks and not moves.says(rest or text, *doubts):
-            told = values_of(beside.frame)
+            told = self._spelling.besides(values_of(beside.frame), offer)
             is_repeated = told.items() <= offer.items()
             # "sonds good, yes"
             says_yes = beside.frame.act in ("confirm_answer", "thanks")

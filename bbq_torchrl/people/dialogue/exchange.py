@@ -27,6 +27,7 @@ class Memory:
         proposal: the values of a record that the agent proposes, by slot.
         times: the number of proposals since the person last told something new.
         refused: what the person refused: values of one record each, or a single one by name.
+        shown: the records that the agent has proposed or offered, by slot, the latest last.
         denied: the number of offers that the person has refused.
         texts: the number of texts so far.
     """
@@ -36,6 +37,7 @@ class Memory:
     proposal: Mapping[str, str] = field(default_factory=dict)
     times: int = 0
     refused: tuple[Mapping[str, str], ...] = ()
+    shown: tuple[Mapping[str, str], ...] = ()
     denied: int = 0
     texts: int = 0
 
@@ -61,8 +63,8 @@ class Memory:
         if (waiting := asking["waiting"]) is not None:
             waiting = Frame(waiting["act"], waiting["informs"], tuple(waiting["requests"]))
         known = {**asking, "waiting": waiting, "choices": tuple(asking["choices"])}
-        refused = tuple(content["refused"])
-        return cls(**{**content, "state": state, "asking": Asking(**known), "refused": refused})
+        lists = {name: tuple(content[name]) for name in ("refused", "shown")}
+        return cls(**{**content, **lists, "state": state, "asking": Asking(**known)})
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.language import Frame, Understood
 from bbq_torchrl.people.language.assembly import is_denied
 from bbq_torchrl.people.language.quantities import about_minutes
-from bbq_torchrl.people.language.words import has_bye, is_farewell, is_no, tokenize
+from bbq_torchrl.people.language.words import SMALL, has_bye, is_farewell, is_no, tokenize
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Mapping
@@ -76,6 +76,8 @@ class Hearing:
         if moves.says(text, "now"):  # "what is on right now?"
             informs = {slot: value for slot, value in informs.items() if value != "now"}
         informs |= self._details_in(text, informs)
+        words = tokenize(text)
+        informs = {s: v for s, v in informs.items() if not self._is_small(words, s, v)}
         days = [value for slot, value in informs.items() if kinds.get(slot) == "date"]
         informs = {  # "tonight" is a day, and no time as well; "nope" is no film
             slot: value
@@ -86,7 +88,7 @@ class Hearing:
         unclear = tuple(
             one
             for one in unclear
-            if len(one.text) > _TINY or one.is_denied or (one.candidates and is_short)
+            if one.is_denied or (one.candidates and is_short) or not self._is_tiny(one.text)
         )
         frame = replace(reading.frame, informs=informs)
         if "answers_first" in rules and {*frame.requests} - {self._domain.ticket_slot}:
@@ -94,16 +96,31 @@ class Hearing:
             unclear = tuple(one for one in unclear if one.slot in spoken_of)  # others can wait
         return replace(reading, frame=frame, unclear=unclear)
 
-    def of_record(self, reading: Understood, record: Mapping[str, str]) -> Understood:
-        """Returns a reading whose unclear names are those of a record that have them in them."""
+    def _is_tiny(self, name: str) -> bool:
+        """Returns whether a name has two letters, or only words such as "or"."""
+        return len(name) <= _TINY or {*name.split()} <= SMALL
+
+    def _is_small(self, words: list[str], slot: str, value: str) -> bool:
+        """Returns whether a text has no more for a name than a word such as "or", in a sentence."""
+        place = self._spelling.lexicon.place(words, slot, value)
+        is_text = self._spelling.lexicon.kinds.get(slot) == "text" and len(words) > _SHORT
+        return is_text and place is not None and {*words[place.start : place.stop]} <= SMALL
+
+    def of_record(
+        self, reading: Understood, record: Mapping[str, str], text: str = ""
+    ) -> Understood:
+        """Returns a reading whose unclear names are those of a record that have them in them.
+
+        A time without am or pm is the record's: "is it still 10:05?"
+        """
         meant = {
             one.slot: record[one.slot]
             for one in reading.unclear
             if not one.is_denied and f" {one.text} " in f" {record.get(one.slot)} "
         }
         unclear = tuple(one for one in reading.unclear if one.slot not in meant)
-        frame = replace(reading.frame, informs={**reading.frame.informs, **meant})
-        return replace(reading, frame=frame, unclear=unclear)
+        informs = self._spelling.as_in(record, text, reading.frame.informs) | meant
+        return replace(reading, frame=replace(reading.frame, informs=informs), unclear=unclear)
 
     def without_relative(
         self, reading: Understood, text: str, record: Mapping[str, str]
@@ -128,9 +145,15 @@ class Hearing:
     def leaving(self, reading: Understood, text: str, is_offered: bool) -> Understood:
         """Returns a reading that ends the conversation only at words of farewell."""
         if "farewell" in self._rules:
-            if reading.frame.act == "thanks" and has_bye(text) and not is_offered:
-                return replace(reading, frame=Frame("closing"))
-            if reading.frame.act == "closing" and not is_farewell(text):
+            act = reading.frame.act
+            is_refused = is_no(text) or self.is_bare(reading.frame, "deny", "not_sure")
+            is_refused |= self.is_unsure(reading)
+            leaves = (act == "thanks" and not is_offered) or (
+                is_refused and moves.beside_yes(text) is None
+            )
+            if leaves and has_bye(text):
+                return replace(reading, frame=Frame("closing"), confidence=1.0, unclear=())
+            if act == "closing" and not is_farewell(text):
                 return replace(reading, frame=Frame("not_sure"), confidence=0.0)
         return reading
 
@@ -241,6 +264,7 @@ class Hearing:
             before, after = said[:start][-2:], said[end : end + 1]
             is_beside = "in" in before[-1:] or "whatever" in before
             is_beside |= not self._things.isdisjoint(after)
+            is_beside |= slot in self._spelling.wholes and before[-1:] == ["the"]  # "the AMC"
             is_told = slot in told or is_denied(said, start, end)
             if slot in self._details and is_beside and not is_told:
                 found[slot] = lexicon.link(slot, " ".join(said[start:end])).values[0]

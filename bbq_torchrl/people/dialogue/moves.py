@@ -86,6 +86,12 @@ def accepts(text: str) -> bool:
     return is_yes and set(words.split()) <= _BESIDE
 
 
+def is_filler(text: str) -> bool:
+    """Returns whether a text has only words that say nothing by themselves, such as "hmm"."""
+    words = _words(text).split()
+    return {*words} <= _BESIDE and not accepts(text)
+
+
 def beside_yes(text: str) -> str | None:
     """Returns what a text says beside a yes, which may be nothing; ``None`` without a yes.
 
@@ -120,8 +126,17 @@ def begins_with(text: str, words: str) -> bool:
 
 def ends_in_yes(text: str) -> bool:
     """Returns whether the last words of a text accept: "oh well, yes", but not "two, please"."""
-    last = _PIECE.findall(_words(text))[-1]
-    return accepts(last) and not says(last, "polite")
+    return _is_yes(_PIECE.findall(_words(text))[-1])
+
+
+def begins_in_yes(text: str) -> bool:
+    """Returns whether the first words of a text accept: "perfect, we're in. five seats"."""
+    return _is_yes(_PIECE.findall(_words(text))[0])
+
+
+def _is_yes(words: str) -> bool:
+    """Returns whether words accept, and are not only polite."""
+    return accepts(words) and not says(words, "polite")
 
 
 def books(text: str) -> bool:
@@ -311,6 +326,8 @@ def named_slots(words: str, lexicon: Lexicon) -> list[str]:
 def named_values(words: str, held: Mapping[str, str], lexicon: Lexicon) -> list[str]:
     """Returns the slots of the values that some words name: those held, or of one slot only."""
     parts, found = words.split(), []
+    if len(parts) > 1 and parts[-1] in ("one", "ones"):  # "the 9:15 one"
+        del parts[-1]
     for size in range(min(_LONGEST, len(parts)), 0, -1):
         for start in range(len(parts) - size + 1):
             name = " ".join(parts[start : start + size])
@@ -320,6 +337,7 @@ def named_values(words: str, held: Mapping[str, str], lexicon: Lexicon) -> list[
                 slot
                 for slot in lexicon.slots
                 if slot in held
+                and not (lexicon.kinds[slot] == "count" and _is_mixed(name))
                 and (link := lexicon.link(slot, name)).score > 0.8
                 and held[slot] in link.values
             ]
@@ -328,3 +346,8 @@ def named_values(words: str, held: Mapping[str, str], lexicon: Lexicon) -> list[
                 found += slots
                 parts[start : start + size] = [""] * size
     return found
+
+
+def _is_mixed(name: str) -> bool:
+    """Returns whether a name has more than a number in it: "7pm" is no number of people."""
+    return not name.isdigit() and any(map(str.isdigit, name))

@@ -104,6 +104,7 @@ class Partner:
         self._tracking = Tracking(simulator, agent.active)
         self.control = Control(simulator, rules)
         minor = self.control.records.minor & ("names" in self.control.rules)
+        self._fixed = {*self.domain.essential} - {*self.domain.free_slots}
         self._details = {self.domain.slots[n] for n in minor.nonzero().flatten().tolist()}
         self._hear = Hearing(nlu, self._spelling, self.control.rules, self._details)
         self._questions = Questions(self._spelling, self._hear, nlg)
@@ -123,8 +124,16 @@ class Partner:
             text: the person's text.
             seed: the seed of everything random in the answer.
         """
-        before, rules = memory or Memory(), self.control.rules
-        now = replace(before, texts=before.texts + 1)
+        answer = self._answer(memory or Memory(), text, seed)
+        shown, now = self._ways_out.shown(answer.memory), answer.memory
+        if not shown or shown in now.shown[-1:]:
+            return answer
+        others = (one for one in now.shown if one != shown)
+        return replace(answer, memory=replace(now, shown=(*others, shown)))
+
+    def _answer(self, before: Memory, text: str, seed: int) -> Answer:
+        """Returns the answer to a text, before it is remembered what it shows."""
+        rules, now = self.control.rules, replace(before, texts=before.texts + 1)
         words: dict[str, Any] = {"session": seed, "turn": now.texts}
         is_about = bool(before.proposal) or before.is_offered
         near = self._ways_out.nearest(before)
@@ -139,16 +148,18 @@ class Partner:
                 return self._say(
                     now, self._nlg.say(topic, self.domain.essential[:_MAX_NAMED], **words)
                 )
+            if "way_out" in rules and (found := self._back(before, now, text, words)):
+                return found
             if "answers_first" in rules and not (before.asking.is_check or moves.accepts(text)):
                 told = self._questions(record, text, words, near)
             question = self._question(before)
             reading = self._hear(told.rest or text, question)
-            if told.text and told.rest and (named := self._elsewhere(record, told.rest)):
+            if told.text and told.rest and (named := self._elsewhere(before, record, told.rest)):
                 told, reading = Told("", {}, text), self._hear(text, question)
                 frame = replace(reading.frame, informs={**named, **reading.frame.informs})
                 sure = max(reading.confidence, DOUBTFUL)
                 reading = replace(reading, frame=frame, confidence=sure)
-            reading = self._hear.of_record(reading, record)
+            reading = self._hear.of_record(reading, record, text)
         except TextError as error:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
         if not told.text:
@@ -158,6 +169,7 @@ class Partner:
             return _led(answer, lead)
         is_only = (
             not told.rest
+            or moves.is_filler(told.rest)
             or (not is_about and is_no(told.rest))
             or (moves.accepts(told.rest) and (before.is_offered or not told.is_yes))
         )
@@ -174,6 +186,25 @@ class Partner:
             text=answer.text if told.text in answer.text else f"{told.text} {answer.text}".strip(),
             answered=replace(answer.answered, act="inform", informs=informs),
         )
+
+    def _back(self, before: Memory, now: Memory, text: str, words: dict[str, Any]) -> Answer | None:
+        """Returns the proposal of a showing that a text goes back to, and answers beside it."""
+        clauses = [one for one in moves.sentences(text) if moves.says(one, "back")]
+        if not (clauses and before.shown):
+            return None
+        reading, free = self._hear(" ".join(clauses), None), self.domain.free_slots
+        told = {s: v for s, v in values_of(reading.frame).items() if s not in free}
+        kinds = self._spelling.lexicon.kinds
+        is_strange = any(kinds[one.slot] == "text" for one in reading.unclear)  # "in Anchorage"
+        record = {} if is_strange else self._ways_out.earlier(before, told)
+        if not record:
+            return None
+        reading = self._hear(text, None)
+        own = {s: v for s, v in values_of(reading.frame).items() if s in free}
+        now = replace(now, state=self._told(before.state, Frame("inform", own))[1])
+        found = self._ways_out.back(now, reading, record, words)
+        beside = self._questions(self._ways_out.nearest(found.memory), text, words)
+        return _led(found, beside.text)
 
     def _is_news(self, record: Mapping[str, str], frame: Frame, text: str) -> bool:
         """Returns whether a text says more of a record than where and when it is.
@@ -194,7 +225,7 @@ class Partner:
         others = "way_out" in rules and bool(moves.others(text)) and not is_wish
         held = self._tracking.kept(before.state)
         if "way_out" in rules:
-            reading = self._ways_out.narrowed(reading, held)
+            reading = self._narrowed(reading, text, before, turn.record)
         is_about = bool(before.proposal) or before.is_offered or others
         if "drop" in rules and (is_about or values_of(reading.frame)):
             reading, refused = self._hear.refused(reading, held)
@@ -377,13 +408,21 @@ class Partner:
         texts = [moves.without_question(answer.text) for answer in leads]
         return _led(last, " ".join(one for one in texts if one not in last.text))
 
-    def _elsewhere(self, record: Mapping[str, str], rest: str) -> dict[str, str]:
+    def _narrowed(
+        self, reading: Understood, text: str, before: Memory, record: Mapping[str, str]
+    ) -> Understood:
+        """Returns a reading whose names mean what fits with all that was said before."""
+        held, waiting = self._tracking.kept(before.state), before.asking.waiting
+        held |= values_of(waiting) if waiting else {}
+        return self._ways_out.narrowed(reading, text, held, record)
+
+    def _elsewhere(self, before: Memory, record: Mapping[str, str], rest: str) -> dict[str, str]:
         """Returns the values by which the rest of a text names another record, to ask about it."""
-        reading = self._hear(rest, None)
+        reading = self._narrowed(self._hear(rest, None), rest, before, record)
         named = {
             s: v for s, v in values_of(reading.frame).items() if s not in self.domain.free_slots
         }
-        is_sure = not self._nlu.asks(reading) or self._spelling.is_named(rest, named)
+        is_sure = reading.confidence >= DOUBTFUL or self._spelling.is_named(rest, named)
         is_other = any(record.get(slot, value) != value for slot, value in named.items())
         return named if is_sure and is_other and not moves.asks_whether_any(rest) else {}
 
@@ -477,6 +516,10 @@ class Partner:
     def _told(self, before: TensorDict | None, act: Frame) -> tuple[Frame, TensorDict]:
         """Returns an act with what it takes back unsaid, and the state after it."""
         held = self._tracking.kept(before)
+        told = {slot: v for slot, v in values_of(act).items() if slot in self._details}
+        here = self._ways_out.place(told)  # a zip code is in a city
+        near = {slot: here[slot] for slot in here if slot in self._fixed and slot not in held}
+        act = replace(act, informs={**near, **act.informs})
         implied = self._ways_out.implied(values_of(act))
         # A theater of another chain takes back the chain.
         gone = {
@@ -484,6 +527,12 @@ class Partner:
             for slot, value in held.items()
             if slot in self._details and slot not in values_of(act)
             if value != ANY and implied.get(slot, value) != value
+        }
+        gone |= {
+            slot: ANY
+            for slot, whole in self._spelling.wholes.items()
+            if whole in act.informs and held.get(slot, ANY) != ANY and slot not in act.informs
+            if not act.informs[whole].startswith(f"{held[slot]} ")
         }
         act = replace(act, informs={**gone, **act.informs})
         state = self._acting.hear(before, act)

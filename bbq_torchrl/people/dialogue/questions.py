@@ -78,9 +78,11 @@ class Questions:
         told: dict[str, str] = {}
         found: tuple[str, dict[str, str], bool] | None
         is_yes = True
-        names = sorted(map(fold, record.values()), key=len, reverse=True)
-        name = rf"(?:{'|'.join(map(re.escape, names)) or '_'})\b"
-        subject = re.compile(rf"\b(is|does) {name}(?= (?!right\b|correct\b)\w)")
+        full = sorted(map(fold, record.values()), key=len, reverse=True)
+        short = {name.partition(" ")[0] for name in full if " " in name} - SMALL  # "the AMC"
+        name = rf"(?:{'|'.join(map(re.escape, full)) or '_'})\b"
+        called = rf"(?:{name}|(?:the )?(?:{'|'.join(map(re.escape, short)) or '_'})\b)"
+        subject = re.compile(rf"\b(is|does) {called}(?= (?!right\b|correct\b)\w)")
         sentences = moves.sentences(text)
         for sentence, following in zip(sentences, [*sentences[1:], ""], strict=True):
             # "what time is the first matinee?" is no question about others
@@ -166,7 +168,7 @@ class Questions:
             return {slot: [" ".join(said[start:end])] for slot, start, end in full}
         parts = [f" {one} {other} " for one, other in pairwise(said) if other not in SMALL]
         parts += [f" {one} " for one in said if one in record.values()]
-        known = product(record, parts)
+        known = product(record.keys() - self._free, parts)
         return {slot: [part.strip()] for slot, part in known if part in f" {record[slot]} "}
 
     def _whether(

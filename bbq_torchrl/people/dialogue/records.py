@@ -28,7 +28,8 @@ if TYPE_CHECKING:
 
 _EVIDENCE = 8  # values of a slot with several records, each with one value of the determined slot
 _SAMPLE = 100  # values that tell a slot's kind
-_PART = 150  # minutes: "in the evening" is from 4:30 to 9:30 pm
+PART = 150
+"""Minutes from the middle of a part of the day: "in the evening" is from 4:30 to 9:30 pm."""
 _RARE = 1 / 8
 """A slot that goals constrain less often than this share of the most frequent one is minor."""
 _COSTS = {"time": 1, "date": 2, "price": 2, "count": 2, "text": 3}
@@ -156,7 +157,7 @@ class Records:
             wish = self.vocabulary[number][held[number]]
             middle = about_minutes(wish)
             if read_time(wish) is None and not isnan(middle):
-                found[number] = (minutes[self._values[:, number]] - middle).abs() <= _PART
+                found[number] = (minutes[self._values[:, number]] - middle).abs() <= PART
         return found
 
     def _misses(self, held: Tensor) -> tuple[Tensor, Tensor]:
@@ -211,6 +212,7 @@ class Records:
         cost = (differs * self._costs).sum(-1) + torch.where(absent > 1, 1e4, 10.0) * absent
         cost += _PLACE * self._is_elsewhere(lacks)
         cost += _EACH * self._is_vague  # "after work" only if nothing else is as near
+        cost += _EACH / 4 * (self._contradicts.any(0) & ~self.has).sum(-1)  # nor a time not on file
         cost += _EACH / 2 * (lacks & self.minor).sum(-1)
         cost += _PLACE * ((far & self._is_place).any(-1) + 1.2 * nowhere.any(-1))
         cost += _PLACE / 2 * (~self.has[:, list(asked)]).sum(-1)

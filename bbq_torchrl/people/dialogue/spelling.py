@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from itertools import permutations
 from math import inf
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.values import RESERVED_TEXT, fold
-from bbq_torchrl.people.dialogue.records import completed
+from bbq_torchrl.people.dialogue.records import PART, completed
 from bbq_torchrl.people.language import Unclear
 from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.quantities import (
@@ -48,6 +49,8 @@ class Spelling:
         lexicon: the domain's phrases and values.
         domain: the domain, with its records and goals in their most frequent spelling, and in each
             record what its other values determine, as a city its state.
+        wholes: for a slot whose values all begin names of another, as a chain a theater's, that
+            other.
 
     Examples:
         >>> from bbq_torchrl.domains import movie_domain
@@ -66,6 +69,12 @@ class Spelling:
         for record in self.domain.records:
             for slot in record.keys() - set(domain.free_slots):
                 self._recorded.setdefault(slot, set(_RESERVED)).add(fold(record[slot]))
+        names = {slot: self.lexicon.values(slot) for slot in self.lexicon.slots}
+        self.wholes = {
+            slot: whole
+            for slot, whole in permutations(names, 2)
+            if names[slot] and all(_begins(name, names[whole]) for name in names[slot])
+        }
 
     def of(self, values: Mapping[str, str]) -> dict[str, str]:
         """Returns the values by slot in that spelling; unknown values are unchanged."""
@@ -146,12 +155,36 @@ class Spelling:
         return replace(name, candidates=tuple(sorted(fit, key=lambda value: abs(away[value]))))
 
     def is_meant(self, slot: str, said: str, own: str) -> bool:
-        """Returns whether a record's value is what a person means by another: "7" by "around 7"."""
+        """Returns whether a record's value is what a person means by another.
+
+        "Around 7" means 7, "in the evening" any time in it.
+        """
         key, kind = self.lexicon.key, self.lexicon.kinds.get(slot)
-        if kind == "time" and read_time(said) and read_time(own):
-            return about_minutes(said) == about_minutes(own)
+        if kind == "time" and read_time(own):
+            if read_time(said):
+                return about_minutes(said) == about_minutes(own)
+            return abs(about_minutes(said) - of_evening(minutes_of(own))) <= PART
         is_day = kind == "date" and fold(said) in (day_of(own), day_of(own).removeprefix("next "))
         return is_day or key(slot, own) == key(slot, said)
+
+    def as_in(
+        self, record: Mapping[str, str], text: str, values: Mapping[str, str]
+    ) -> dict[str, str]:
+        """Returns the values of a text, with a record's times where it says neither am nor pm."""
+        found = dict(values)
+        for slot, value in values.items():
+            if slot in record and self._options(text, slot, value, record[slot]) == (record[slot],):
+                found[slot] = record[slot]
+        return found
+
+    def besides(self, values: Mapping[str, str], record: Mapping[str, str]) -> dict[str, str]:
+        """Returns values without those that are how names of a record begin: "the AMC"."""
+        begun = {
+            slot
+            for slot, whole in self.wholes.items()
+            if slot in values and record.get(whole, "").startswith(f"{values[slot]} ")
+        }
+        return {slot: value for slot, value in values.items() if slot not in begun}
 
     def is_vague_time(self, slot: str, value: str) -> bool:
         """Returns whether a value of a time names no time by the clock: "in the evening"."""
@@ -203,6 +236,11 @@ class Spelling:
         )
 
 
+def _begins(name: str, others: Iterable[str]) -> bool:
+    """Returns whether a name is how a longer one begins."""
+    return any(other.startswith(f"{name} ") for other in others)
+
+
 def _before_noon(text: str, key: str) -> str | None:
     """Returns the time in the morning that a text may mean by a time after noon, else ``None``.
 
@@ -213,7 +251,8 @@ def _before_noon(text: str, key: str) -> str | None:
     words = tokenize(text)
     sizes = range(1, _CLOCK + 1)
     reads = {read_time(" ".join(words[at : at + n])) for at in range(len(words)) for n in sizes}
-    if f"{key}?" not in reads or key in reads or not _LATER.isdisjoint(words):
+    is_later = not _LATER.isdisjoint(words) and "morning" not in words
+    if f"{key}?" not in reads or key in reads or is_later:
         return None
     hour, minute = key.split()[1].split(":")
     return f"{(int(hour) - 12) or 12}:{minute} am" if key.startswith("at ") else None

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from itertools import product
+from itertools import pairwise, product
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -13,6 +13,7 @@ from bbq_torchrl.domains.frames import ANY
 from bbq_torchrl.domains.values import FIRST_VALUE, NONE
 from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.exchange import Answer, values_of
+from bbq_torchrl.people.dialogue.hearing import DOUBTFUL
 from bbq_torchrl.people.dialogue.tracking import full
 from bbq_torchrl.people.language import Frame
 from bbq_torchrl.people.language.asking import Asking
@@ -60,6 +61,7 @@ class WaysOut:
         place: torch.Tensor,
     ) -> None:
         self._lexicon, self._slots = spelling.lexicon, spelling.domain.slots
+        self._spelling, self._wholes = spelling, spelling.wholes
         self._tracking, self._records, self._nlg = tracking, records, nlg
         self._place, domain, kinds = place, spelling.domain, spelling.lexicon.kinds
         self._free = torch.tensor([slot in domain.free_slots for slot in domain.slots])
@@ -291,14 +293,18 @@ class WaysOut:
         change = self._records.nearest(full(now.state), self.refused(now), asked=asked)
         return self.propose(now, reading, change, words, asked)
 
-    def narrowed(self, reading: Understood, held: Mapping[str, str]) -> Understood:
+    def narrowed(
+        self, reading: Understood, text: str, held: Mapping[str, str], record: Mapping[str, str]
+    ) -> Understood:
         """Returns a reading whose unclear names mean only what is left with the other values.
 
         Args:
             reading: the meaning of the text.
+            text: the person's text.
             held: the values told before.
+            record: the values of the record that is proposed or offered, if any.
         """
-        informs, unclear = {**reading.frame.informs}, []
+        informs, unclear, sure = {**reading.frame.informs}, [], reading.confidence
         wishes = torch.tensor(self._tracking.ids({**held, **informs}))
         for one in reading.unclear:
             number = self._slots.index(one.slot)
@@ -316,8 +322,91 @@ class WaysOut:
                 informs[one.slot] = left[0]
             else:
                 unclear.append(replace(one, candidates=left))
+        for slot, whole in self._wholes.items():
+            if whole in informs or any(one.is_denied for one in unclear):
+                continue
+            place = self._lasting({**held, **record}) | informs
+            name = next((one.text for one in unclear if one.slot == slot), informs.get(slot, ""))
+            if found := self._whole(whole, name, text, place):
+                informs[whole], sure = found, max(sure, DOUBTFUL)
+                informs.pop(slot, None)
+                unclear = [one for one in unclear if f" {one.text} " not in f" {found} "]
         frame = replace(reading.frame, informs=informs)
-        return replace(reading, frame=frame, unclear=tuple(unclear))
+        return replace(reading, frame=frame, confidence=sure, unclear=tuple(unclear))
+
+    def _lasting(self, values: Mapping[str, str]) -> dict[str, str]:
+        """Returns the values for what a dialogue is about and its place, of some values."""
+        held = torch.tensor(self._tracking.ids(values))
+        return self._tracking.values(self._records.here(held, self._records.lasting))
+
+    def _whole(self, slot: str, name: str, text: str, place: Mapping[str, str]) -> str:
+        """Returns the one value of a slot here that a text means by a part; empty if none is.
+
+        Args:
+            slot: the slot, as the theater.
+            name: the name that is heard with which it may begin, as a chain.
+            text: the text, which may have two words of it: "the grove 8".
+            place: what the record is about and where it is.
+        """
+        number, said = self._slots.index(slot), tokenize(text)
+        names = self._records.vocabulary[number]
+        lasting = {s for s, lasts in zip(self._slots, self._records.lasting, strict=True) if lasts}
+        spans = [span for span in self._lexicon.full_names(said) if span.slot in lasting]
+        other = {word for span in spans for word in said[span.start : span.end]}
+        pairs = [f" {' '.join(pair)} " for pair in pairwise(said) if {*pair}.isdisjoint(other)]
+        held = torch.tensor(self._tracking.ids(place))
+        for known in (held, self._records.here(held)):  # of this movie, or here at all
+            known[number] = NONE
+            found = {names[value] for value in self._records.choices(known, number)}
+            fit = [one for one in found if name and one.startswith(f"{name} ")]
+            if not name:
+                fit = [one for one in found if any(pair in f" {one} " for pair in pairs)]
+            if fit:
+                return fit[0] if len(fit) == 1 else ""
+        return ""
+
+    def shown(self, memory: Memory) -> dict[str, str]:
+        """Returns where and when the record is that is proposed or offered, if any."""
+        if not (memory.proposal or memory.is_offered):
+            return {}
+        record, named = self.nearest(memory), (self._place & ~self._free).tolist()
+        return {
+            s: record[s]
+            for s, is_named in zip(self._slots, named, strict=True)
+            if is_named and s in record
+        }
+
+    def earlier(self, memory: Memory, told: Mapping[str, str]) -> Mapping[str, str]:
+        """Returns the latest record shown before that has some values; empty if there is none."""
+        now = self.shown(memory)
+        others = (one for one in reversed(memory.shown) if one != now)
+        return next((one for one in others if self._fits(one, told)), {})
+
+    def _fits(self, record: Mapping[str, str], told: Mapping[str, str]) -> bool:
+        """Returns whether a record has values, or has them in its own: "the Regal"."""
+        named = ((s, value, record.get(self._wholes.get(s, s), "")) for s, value in told.items())
+        return all(
+            f" {value} " in f" {own} " or self._spelling.is_meant(slot, value, own)
+            for slot, value, own in named
+        )
+
+    def back(
+        self, now: Memory, reading: Understood, record: Mapping[str, str], words: dict[str, Any]
+    ) -> Answer:
+        """Returns the proposal of a record that was shown before.
+
+        Args:
+            now: the memory, with the state after the person's act.
+            reading: the meaning of the text.
+            record: the record's values.
+            words: what determines the words.
+        """
+        assert now.state is not None
+        ids, held = torch.tensor(self._tracking.ids(record)), full(now.state)
+        now = replace(now, times=0, refused=())
+        held = torch.where(ids != NONE, ids, torch.where(self._free, held, NONE))
+        change = {slot: value for slot, value in enumerate(ids.tolist()) if value != NONE}
+        return self.propose(now, reading, change, words, held=held)
 
     def refused(self, now: Memory) -> list[list[tuple[int, int]]]:
         """Returns the refused proposals as pairs of slot and value id."""
@@ -356,6 +445,10 @@ class WaysOut:
         )
         is_same = ~self._own | (news == NONE) | (news == held)
         return bool((is_met & is_same & ~is_missing).all())
+
+    def place(self, values: Mapping[str, str]) -> dict[str, str]:
+        """Returns the place that some values are in, as the city of a zip code."""
+        return self._tracking.values(self._records.here(torch.tensor(self._tracking.ids(values))))
 
     def implied(self, values: Mapping[str, str]) -> dict[str, str]:
         """Returns values with those that they determine, as a theater its city."""
@@ -443,11 +536,11 @@ class WaysOut:
         use, named = "another" if is_near else "way_out", proposal
         if proposal == now.proposal:
             use, named = "whole", self._tracking.values(torch.where(self._place, row, ids))
+        shown = self._tracking.values(self._place * row)
         if is_near:  # "is there one at 7?"
             said = values_of(reading.frame)
-            shown = self._tracking.values(self._place * row)
             named = {**named, **{s: v for s, v in shown.items() if said.get(s) == v}}
-        sentence = self._nlg.say(use, values=conflict, other=named, **words)
+        sentence = self._nlg.say(use, values=conflict, other=named or shown, **words)
         if not lead and (lost := self._lost(now, held, row, conflict)):
             lead = self._nlg.say("no_promise", values=lost, **words)
         sentence = f"{lead} {sentence}".strip()

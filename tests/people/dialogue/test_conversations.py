@@ -110,6 +110,23 @@ def test_most_replies_to_no_match_are_helped(partner):
     assert sum(helped) / len(helped) >= 0.7
 
 
+def test_a_showing_shown_before_comes_back(partner):
+    first = opened(partner, "two tickets for barbie on christmas eve at 5 pm")
+    other = said(partner, first, "no, something else")
+    shown = first.memory.shown[-1]
+    assert other.memory.proposal != first.memory.proposal
+    chain = shown["theater"].partition(" ")[0]
+    for text in (
+        "let's go back to the first one",
+        f"I'd rather have the {chain} after all",
+        f"the {shown['starttime']} one you proposed before. where is it?",
+    ):
+        back = said(partner, other, text)
+        assert back.memory.proposal.items() >= shown.items(), text
+        assert shown["theater"] in back.text.lower()
+    assert said(partner, other, "go back to the one in Anchorage").memory.proposal != shown
+
+
 def test_an_offer_says_where_and_when_it_is(partner, offer):
     place = {slot: offer.answered.informs[slot] for slot in ("date", "starttime", "theater")}
     assert all(value.lower() in offer.text.lower() for value in place.values())
