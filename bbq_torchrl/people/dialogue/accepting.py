@@ -98,7 +98,7 @@ class Accepting:
         if beside is None:
             is_named = bool(told) and not said.unclear
             is_named |= self._hear.is_bare(reading.frame, "confirm_answer", "thanks")
-            if not is_named or moves.says(text, "no"):
+            if not is_named or moves.says(text, "no", "doubts"):
                 return None
         frame = Frame("request" if requests else "inform", {**proposal, **told}, requests)
         known = {**record, **proposal}

@@ -126,12 +126,17 @@ def begins_with(text: str, words: str) -> bool:
 
 def ends_in_yes(text: str) -> bool:
     """Returns whether the last words of a text accept: "oh well, yes", but not "two, please"."""
-    return _is_yes(_PIECE.findall(_words(text))[-1])
+    return _is_yes("".join(_PIECE.findall(_words(text))[-1:]))
+
+
+def takes(text: str) -> bool:
+    """Returns whether a text accepts, or ends in a yes and asks nothing."""
+    return accepts(text) or (ends_in_yes(text) and "?" not in text)
 
 
 def begins_in_yes(text: str) -> bool:
     """Returns whether the first words of a text accept: "perfect, we're in. five seats"."""
-    return _is_yes(_PIECE.findall(_words(text))[0])
+    return _is_yes("".join(_PIECE.findall(_words(text))[:1]))
 
 
 def _is_yes(words: str) -> bool:

@@ -7,7 +7,7 @@ from itertools import product
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.domains.frames import ANY
+from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT
 from bbq_torchrl.domains.values import fold
 from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.accepting import Accepting
@@ -150,7 +150,7 @@ class Partner:
                 )
             if "way_out" in rules and (found := self._back(before, now, text, words)):
                 return found
-            if "answers_first" in rules and not (before.asking.is_check or moves.accepts(text)):
+            if "answers_first" in rules and not (before.asking.is_check or moves.takes(text)):
                 told = self._questions(record, text, words, near)
             question = self._question(before)
             reading = self._hear(told.rest or text, question)
@@ -181,9 +181,14 @@ class Partner:
             turn = _Turn(before, record, question, told.rest, words, True)
             answer = self._reply(turn, reading)
         informs = {**told.values, **answer.answered.informs}
+        is_told = told.text in answer.text
+        # What one record lacks, and the other has that is told of beside it.
+        is_told |= bool(told.values) and all(
+            value == NO_MATCH_TEXT != informs[slot] for slot, value in told.values.items()
+        )
         return replace(
             answer,
-            text=answer.text if told.text in answer.text else f"{told.text} {answer.text}".strip(),
+            text=answer.text if is_told else f"{told.text} {answer.text}".strip(),
             answered=replace(answer.answered, act="inform", informs=informs),
         )
 
@@ -289,7 +294,8 @@ class Partner:
             whether it books.
         """
         before, text, words, rules = turn.before, turn.text, turn.words, self.control.rules
-        is_no_more = is_no(text) or self._hear.is_bare(reading.frame, "deny")
+        is_denied = self._hear.is_bare(reading.frame, "deny")
+        is_no_more = is_no(text) or (is_denied and not turn.asks)
         is_booked = False
         if before.asking.is_check:
             if is_no_more:
@@ -307,7 +313,8 @@ class Partner:
                 return replace(now, proposal={}), taken, False, is_booked and not turn.asks
             if is_no_more and not others:
                 return self._ways_out.alternative(now, reading, words)
-            if "yes_ends" in rules and self._hear.is_bare(reading.frame, "thanks"):
+            is_remark = is_denied and turn.asks and not others  # "is it at night? 4 isn't late"
+            if "yes_ends" in rules and (self._hear.is_bare(reading.frame, "thanks") or is_remark):
                 # A yes to what is proposed books nothing that was offered before.
                 return self._say(now, self._nlg.say("stands", **words), reading)
         elif before.is_offered and "yes_ends" in rules and not others:
@@ -517,8 +524,10 @@ class Partner:
         """Returns an act with what it takes back unsaid, and the state after it."""
         held = self._tracking.kept(before)
         told = {slot: v for slot, v in values_of(act).items() if slot in self._details}
-        here = self._ways_out.place(told)  # a zip code is in a city
-        near = {slot: here[slot] for slot in here if slot in self._fixed and slot not in held}
+        here, rest = self._ways_out.place(told), {**held, **act.informs}
+        known = self._ways_out.place({s: v for s, v in rest.items() if s not in told})
+        # A zip code is in a city.
+        near = {slot: here[slot] for slot in here if slot in self._fixed and slot not in known}
         act = replace(act, informs={**near, **act.informs})
         implied = self._ways_out.implied(values_of(act))
         # A theater of another chain takes back the chain.

@@ -77,7 +77,7 @@ class Questions:
         rest: list[str] = []
         told: dict[str, str] = {}
         found: tuple[str, dict[str, str], bool] | None
-        is_yes = True
+        is_yes, is_refused = True, False
         full = sorted(map(fold, record.values()), key=len, reverse=True)
         short = {name.partition(" ")[0] for name in full if " " in name} - SMALL  # "the AMC"
         name = rf"(?:{'|'.join(map(re.escape, full)) or '_'})\b"
@@ -95,6 +95,7 @@ class Questions:
             else:
                 found = None
             if self._is_refused(sentence, following):
+                is_refused = True
                 rest.append(f"not {sentence.rstrip(' ?')} .")
                 continue
             if found is None:
@@ -105,7 +106,7 @@ class Questions:
             told |= found[1]
             is_yes &= found[2]
         if not said:
-            return Told("", {}, text)
+            return Told("", {}, " ".join(rest) if is_refused else text)
         return Told(" ".join(said), told, " ".join(rest), is_yes)
 
     def _answer(
