@@ -3,6 +3,7 @@
 import re
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from types import SimpleNamespace
 
 import pytest
 
@@ -29,15 +30,6 @@ pairs: [[secret-bbqn, secret-dqn]]
 participants: 5
 """
 RATED = {**dict.fromkeys(SCALES, "4"), "verdict": "yes"}
-
-
-class Clock:
-    """A clock that is turned by hand."""
-
-    now = 1_000_000.0
-
-    def __call__(self):
-        return self.now
 
 
 class Site:
@@ -101,7 +93,8 @@ def study(loaded, tmp_path):
 
 @pytest.fixture
 def clock():
-    return Clock()
+    """A time that is set by hand."""
+    return SimpleNamespace(now=1_000_000.0)
 
 
 @pytest.fixture(scope="session")

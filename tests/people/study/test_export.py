@@ -31,7 +31,7 @@ def test_all_files_that_a_command_makes_are_for_their_owner_alone(site, study, t
     assert not any(file.stat().st_mode & 0o077 for file in made)
 
 
-def test_a_backup_of_the_living_file_has_everything_where_a_plain_copy_has_not(
+def test_a_backup_of_the_living_file_has_everything_but_tokens_where_a_plain_copy_has_not(
     site, study, tmp_path
 ):
     link = site.enroll()
@@ -44,8 +44,10 @@ def test_a_backup_of_the_living_file_has_everything_where_a_plain_copy_has_not(
     with opened(tmp_path / "plain" / "study.sqlite") as connection:
         assert connection.execute("SELECT COUNT(*) FROM exchange").fetchone() < (8,)
     assert not list(tmp_path.glob("copy.sqlite-*"))  # it is one file
+    token = link.removeprefix("/p/")
+    assert token.encode() not in copy.read_bytes()
     with closing(Store(replace(study, path=copy), site.talker)) as again:
-        assert current(again.sessions(link.removeprefix("/p/"))).messages == 8
+        assert current(again.sessions(token)).messages == 8
         assert f"/join/{again.key('join')}" == site.join
 
 

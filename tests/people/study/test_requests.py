@@ -29,13 +29,6 @@ def test_wrong_guessed_and_other_links_get_the_same_page(site):
     assert len({tuple(sorted(page.headers)) for page in pages}) == 1
 
 
-def test_another_persons_link_reaches_only_their_own_sessions(site):
-    link, form = talk(site)
-    stranger = site.enroll()
-    site.client.post(f"{stranger}/say", data=form)
-    assert site.store.exchanges(site.session(link).id) == []
-
-
 @pytest.mark.parametrize("step", ["say", "end", "rate"])
 def test_a_form_of_no_session_of_theirs_or_without_a_nonce_is_refused(site, step):
     link, form = talk(site)
