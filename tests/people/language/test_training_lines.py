@@ -10,13 +10,7 @@ from bbq_torchrl.people.language import Frame, Understander, read_lines
 from bbq_torchrl.people.language.__main__ import calibration_error, calibration_floor
 from bbq_torchrl.people.language.asking import FOREIGN, OPENING
 from bbq_torchrl.people.language.corpus import make_examples
-from bbq_torchrl.people.language.training_lines import (
-    Line,
-    Names,
-    as_examples,
-    make_foreign,
-    varied,
-)
+from bbq_torchrl.people.language.training_lines import Names, as_examples, make_foreign, varied
 from bbq_torchrl.people.language.understander import cached_understander
 from bbq_torchrl.people.language.words import ENGLISH
 from bbq_torchrl.utils.text import FaultsError
@@ -41,6 +35,7 @@ def test_own_lines_become_examples_with_the_place_of_each_value(
     path.write_text(f"# mine\n | {text} | {meaning}\n")
     (example,) = as_examples(read_lines(path, movie_domain()), lexicon)
     assert " ".join(example.tags) == tags
+    assert "?" not in str(example.frame)  # a name that the domain lacks, learned by its place
 
 
 def test_what_chance_alone_gives_a_calibration_error_is_told():
@@ -63,7 +58,7 @@ def test_both_files_of_lines_in_a_domains_folder_are_learned(understand, tmp_pat
 
 def test_a_line_is_learned_with_other_values_as_well(lexicon):
     meant = Frame.parse("request(ticket) inform(moviename=wonka, city=reno, date=tonight)")
-    examples = as_examples([Line(None, "is wonka on in reno tonight", meant)], lexicon)
+    examples = as_examples([(None, "is wonka on in reno tonight", meant)], lexicon)
     found = varied(examples, lexicon, lambda slot, value, rng: value, copies=20, seed=0)
     cities, made_up = set(), 0
     for example in found:
@@ -74,13 +69,6 @@ def test_a_line_is_learned_with_other_values_as_well(lexicon):
         cities.add(city)
     assert len(cities) > 10
     assert 2 <= made_up <= 15  # of 20 copies with two in five made up
-
-
-def test_a_name_that_is_not_known_is_learned_where_it_stands(lexicon):
-    meant = Frame.parse("request(ticket) inform(moviename=wonka, city=?lubbock)")
-    (example,) = as_examples([Line(None, "is wonka on in lubbock", meant)], lexicon)
-    assert example.tags == ["-", "moviename", "-", "-", "city"]
-    assert example.frame.informs == {"moviename": "wonka"}
 
 
 def test_no_made_up_name_is_that_of_a_value(lexicon):
@@ -105,9 +93,8 @@ def test_foreign_sentences_open_a_dialogue_or_answer(lexicon):
 def test_no_sentence_of_the_sets_was_learned():
     own = " | ".join([*ENGLISH["foreign"], (movie_domain().folder / "language.yaml").read_text()])
     for name in ("out_of_scope", "out_of_scope_dev"):
-        for line in (DATA / "limits" / f"{name}.txt").read_text("utf-8").splitlines():
-            text = line.partition("|")[2].strip()
-            assert not text or text.lower() not in own.lower()
+        for _, text in rows(DATA / "limits" / "any", f"{name}.txt"):
+            assert text.lower() not in own.lower()
 
 
 def test_own_lines_that_are_not_there_are_missed_though_an_understander_is_kept(

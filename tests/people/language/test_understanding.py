@@ -6,16 +6,10 @@ from pathlib import Path
 import forked
 import pytest
 from acts import HOSTILE
+from tables import rows
 
 from bbq_torchrl.domains import movie_domain
-from bbq_torchrl.people.language import (
-    ANY,
-    Frame,
-    TextError,
-    Understander,
-    __main__ as command,
-    read_lines,
-)
+from bbq_torchrl.people.language import ANY, Frame, TextError, Understander, __main__, read_lines
 from bbq_torchrl.people.language.understander import cached_understander
 
 DATA = Path(__file__).parents[2] / "data"
@@ -53,12 +47,7 @@ def test_what_the_domain_does_not_have_is_not_invented(understand, text):
 def test_what_the_domain_cannot_mean_is_seldom_acted_on(understand):
     """By sentences written by hand: .56 were acted on before they were a class."""
     acted = []
-    for line in (
-        (DATA / "language" / "limits" / "out_of_scope_dev.txt").read_text("utf-8").splitlines()
-    ):
-        if line.startswith("#"):
-            continue
-        question, text = (part.strip() for part in line.split("|"))
+    for question, text in rows(DATA / "language" / "limits" / "any", "out_of_scope_dev.txt"):
         heard = understand(text, Frame.parse(question) if question else None)
         acted.append(not understand.asks(heard))
     assert sum(acted) / len(acted) < 0.3
@@ -169,7 +158,7 @@ def test_a_domain_of_ones_own_is_measured_by_what_it_has(tmp_path, monkeypatch, 
     understood = Understander.train(restaurant, sentences=40)
     monkeypatch.setattr(Understander, "train", lambda *_, **__: understood)
     given = ["measure", "--domain", str(DATA / "restaurant"), "--dialogues", "20"]
-    assert command.main(given) == 0
+    assert __main__.main(given) == 0
     assert "--data" in capsys.readouterr().err
     figures = json.loads(Path("restaurant.language.json").read_text())
     assert figures["grammar"]["sentences"] == 50
@@ -181,11 +170,11 @@ def test_a_domain_of_ones_own_is_measured_by_what_it_has(tmp_path, monkeypatch, 
     (tmp_path / "said" / "anna.txt").write_text(
         " | hello | greeting\nrequest(area) | bye | closing"
     )
-    assert command.main([*given, "--data", "said", "--out", "new/own.json"]) == 0
+    assert __main__.main([*given, "--data", "said", "--out", "new/own.json"]) == 0
     assert "--data" not in capsys.readouterr().err
     assert json.loads(Path("new/own.json").read_text())["anna"]["sentences"] == 2
 
 
 def test_a_folder_without_labeled_sentences_is_refused_before_learning(tmp_path, monkeypatch):
     monkeypatch.setattr(Understander, "train", lambda *_, **__: pytest.fail("it learned"))
-    assert command.main(["measure", "--data", str(tmp_path)]) == 2
+    assert __main__.main(["measure", "--data", str(tmp_path)]) == 2
