@@ -74,40 +74,25 @@ def test_a_key_that_cannot_be_sent_is_told_before_a_run_is_looked_for(monkeypatc
     assert "secret" not in error
 
 
-@pytest.fixture
-def typed(partner, decided):
-    """Types in a chat with an agent that asks for the city."""
+KEYS = {
+    "arrow up brings back what was typed": ("inform(city=reno)\r|\x1b[A\r|/quit\r", "agent: ", 2),
+    "tab completes a command": ("/wh\t\r|\x04", "Nothing was said yet.", 1),
+    "Ctrl-C ends the conversation": ("\x03", "Failure: no booking was offered", 1),
+    "Ctrl-D does too": ("\x04", "Failure: no booking was offered", 1),
+}
+
+
+@pytest.mark.parametrize(("typed", "shown", "times"), KEYS.values(), ids=KEYS)
+def test_a_key_of_a_terminal(partner, decided, typed, shown, times):
     decided(partner.agent, *["request(city)"] * 2)
+    screen, lines = io.StringIO(), iter(typed.split("|"))
+    console = Console(file=screen, force_terminal=True, color_system=None, width=100)
     names = dict.fromkeys(partner.agent.domain.slots, "name")
-
-    def shown(*lines):
-        screen = io.StringIO()
-        console = Console(file=screen, force_terminal=True, color_system=None, width=100)
-        goal = choose_goal(partner.agent.domain, 1, 0)
-        with (
-            create_pipe_input() as keyboard,
-            create_app_session(input=keyboard, output=DummyOutput()),
-        ):
-            read, todo = prompt(), iter(lines)
-
-            def type_and_read():
-                keyboard.send_text(next(todo))
-                return read()
-
-            Chat(partner, goal, console, names=names).run(type_and_read)
-        return screen.getvalue()
-
-    return shown
-
-
-def test_arrow_up_brings_back_what_was_typed(typed):
-    assert typed("inform(city=reno)\r", "\x1b[A\r", "/quit\r").count("agent: ") == 2
-
-
-def test_tab_completes_a_command(typed):
-    assert "Nothing was said yet." in typed("/wh\t\r", "\x04")
-
-
-@pytest.mark.parametrize("key", ["\x03", "\x04"], ids=["Ctrl-C", "Ctrl-D"])
-def test_a_key_ends_the_conversation_and_tells_the_outcome(typed, key):
-    assert "Failure: no booking was offered" in typed(key)
+    chat = Chat(partner, choose_goal(partner.agent.domain, 1, 0), console, names=names)
+    with (
+        create_pipe_input() as keyboard,
+        create_app_session(input=keyboard, output=DummyOutput()),
+    ):
+        read = prompt()
+        chat.run(lambda: keyboard.send_text(next(lines)) or read())
+    assert screen.getvalue().count(shown) == times

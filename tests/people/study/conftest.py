@@ -3,6 +3,7 @@
 import re
 from contextlib import closing, contextmanager
 from dataclasses import replace
+from pathlib import Path
 from types import SimpleNamespace
 
 import pytest
@@ -18,17 +19,7 @@ from bbq_torchrl.people.study.web import JOIN, RESEARCHER, application
 
 from .fakes import FakeTalker
 
-STUDY = """
-name: Tickets
-consent: |
-  We study assistants.
-
-  What you write is stored.
-contact: ann@lab.example
-agents: {secret-bbqn: runs/vault-bbqn, secret-dqn: runs/vault-dqn}
-pairs: [[secret-bbqn, secret-dqn]]
-participants: 5
-"""
+STUDY = Path(__file__).with_name("tickets.yaml").read_text("utf-8")
 RATED = {**dict.fromkeys(SCALES, "4"), "verdict": "yes"}
 
 

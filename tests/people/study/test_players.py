@@ -1,6 +1,8 @@
 """Trained agents and the simulator's users in a study, and turn by turn as in the simulator."""
 
+import shutil
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -16,16 +18,6 @@ from bbq_torchrl.people.study.conversations import simulate
 from bbq_torchrl.people.study.outcomes import read_outcomes
 from bbq_torchrl.people.study.players import SimulatedUser
 from bbq_torchrl.simulator import Simulator
-
-STUDY = """
-name: Tickets
-consent: We study assistants.
-contact: ann@lab.example
-agents: {bbqn: bbqn, dqn: dqn, public: "shipped:bbqn_map"}
-pairs: [[bbqn, dqn]]
-participants: 1
-max_turns: 6
-"""
 
 
 class Letters(Generator):
@@ -45,10 +37,10 @@ def study(runs, monkeypatch):
     """Beside the runs, whose folders it names; people type acts, so that nothing is learned."""
     monkeypatch.setattr(players, "cached_understander", lambda *_: Acts())
     monkeypatch.setattr(players, "Generator", Letters)
-    file = runs / "tickets.yaml"
-    file.write_text(STUDY, encoding="utf-8")
+    file = runs / "trained.yaml"
+    shutil.copyfile(Path(__file__).with_name("trained.yaml"), file)
     yield load_study(file)
-    for left in runs.glob("tickets.*"):
+    for left in runs.glob("trained.*"):
         left.unlink()
 
 

@@ -7,9 +7,8 @@ from dataclasses import replace
 
 import pytest
 
-from bbq_torchrl.people.study.__main__ import main
 from bbq_torchrl.people.study.database import SCALES
-from bbq_torchrl.people.study.outcomes import compare_pairs, participant_mean, power, read_outcomes
+from bbq_torchrl.people.study.outcomes import compare_pairs, participant_mean, read_outcomes
 from bbq_torchrl.people.study.report import report, write_report
 from bbq_torchrl.people.study.storage import Store
 
@@ -143,10 +142,3 @@ def test_the_figures_and_the_data_are_written(fill, tmp_path):
     assert {(row["exchanges"], row["entropy"], row["simulated"]) for row in rows} == {
         ("3", "0.5625", "0")
     }
-
-
-def test_the_power_command_prints_what_it_found(capsys):
-    assert main(["power", "0.9", "0.1", "20", "--simulations", "100"]) == 0
-    first, second = capsys.readouterr().out.splitlines()
-    assert first.endswith(f"{power(0.9, 0.1, 20, person_sd=1.0, simulations=100):.3f}")
-    assert second.endswith("0.050")

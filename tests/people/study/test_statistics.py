@@ -7,14 +7,8 @@ import numpy as np
 import pytest
 from scipy import stats
 
-from bbq_torchrl.people.study.outcomes import (
-    auroc,
-    kappa,
-    participant_mean,
-    power,
-    proportion,
-    sign_flip,
-)
+from bbq_torchrl.people.study.__main__ import main
+from bbq_torchrl.people.study.outcomes import auroc, kappa, participant_mean, proportion, sign_flip
 from bbq_torchrl.utils.statistics import PValue
 
 
@@ -126,14 +120,19 @@ def test_the_interval_of_auroc_is_of_people():
     assert again.high - again.low == pytest.approx(strangers.high - strangers.low, rel=0.1)
 
 
+def power(capsys, command):
+    """What the command prints: how often the difference is found, and the standard error."""
+    assert main(["power", *command.split()]) == 0
+    return [float(line.split()[-1]) for line in capsys.readouterr().out.splitlines()]
+
+
 @pytest.mark.parametrize(("pairs", "expected"), [(1, 0.558), (5, 0.319)])
-def test_power_without_differences_between_people_is_the_sign_tests(pairs, expected):
+def test_power_without_differences_between_people_is_the_sign_tests(capsys, pairs, expected):
     """Its closed form: a sum over how many people differ and how many of them upward."""
-    found = power(0.6, 0.4, 66, person_sd=0.0, pairs=pairs, simulations=800)
-    assert found == pytest.approx(expected, abs=4.5 * 0.018)
+    command = f"0.6 0.4 66 --person-sd 0 --pairs {pairs} --simulations 800"
+    assert power(capsys, command) == [pytest.approx(expected, abs=4.5 * 0.018), 0.018]
 
 
-def test_between_equal_agents_a_difference_is_found_no_more_often_than_the_level():
-    studies = 500
-    found = power(0.5, 0.5, 24, sessions=2, person_sd=1.5, simulations=studies)
-    assert found <= 0.05 + 4.5 * math.sqrt(0.05 * 0.95 / studies)
+def test_between_equal_agents_a_difference_is_found_no_more_often_than_the_level(capsys):
+    found, _ = power(capsys, "0.5 0.5 24 --sessions 2 --person-sd 1.5 --simulations 500")
+    assert found <= 0.05 + 4.5 * math.sqrt(0.05 * 0.95 / 500)
