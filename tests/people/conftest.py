@@ -56,8 +56,7 @@ def runs(once):
 
 @pytest.fixture(scope="session")
 def agents(runs):
-    names = ("bbqn", "dqn", "bootstrap")
-    return {name: TrainedAgent(runs / name) for name in names}
+    return {name: TrainedAgent(runs / name) for name in ("bbqn", "dqn", "bootstrap")}
 
 
 @pytest.fixture(scope="session")

@@ -100,9 +100,8 @@ def test_in_a_talk(talk, case):
     answers = talk(*case["turns"], rules=rules if rules is None else tuple(rules))
     for answer, then in zip(answers[-len(case["then"]) :], case["then"], strict=True):
         told, text = answer.answered.informs, answer.text.lower()
-        assert {key: WHOLE[key](answer) for key in WHOLE.keys() & then} == {
-            key: then[key] for key in WHOLE.keys() & then
-        }
+        whole = {key: WHOLE[key](answer) for key in WHOLE.keys() & then}
+        assert whole.items() <= then.items()
         assert then.get("tells", {}).items() <= told.items()
         assert then.get("hears", {}).items() <= answer.understood.informs.items()
         assert then.get("proposes", {}).items() <= answer.memory.proposal.items()

@@ -14,13 +14,8 @@ from bbq_torchrl.people.dialogue.judge import Judge, card
 
 WISHES = {"moviename": "Deadpool", "city": "seattle", "numberofpeople": "2"}
 GOAL = Goal(WISHES, ("theater", "date"))
-SHOWINGS = (
-    {"moviename": "deadpool", "city": "seattle", "date": "today", "theater": "roxy"},
-    {"moviename": "deadpool", "city": "seattle", "date": "friday", "theater": "odeon"},
-    {"moviename": "deadpool", "city": "boston", "date": "today", "theater": "odeon"},
-    {"moviename": "zootopia", "city": "boston", "theater": "lux", "numberofpeople": "9"},
-)
 TABLE = yaml.safe_load(Path(__file__).with_name("judge.yaml").read_text(encoding="utf-8"))
+SHOWINGS, TALKS = tuple(TABLE["records"]), TABLE["talks"]
 DIALOGUES = int(os.environ.get("BBQ_STUDY_DIALOGUES", "100000"))
 
 
@@ -43,7 +38,7 @@ def test_a_card_says_what_is_wished_and_asked_for_in_peoples_words():
     assert shown == {"wishes": wishes, "questions": ["theater", "the price"]}
 
 
-@pytest.mark.parametrize("case", TABLE, ids=range(len(TABLE)))
+@pytest.mark.parametrize("case", TALKS, ids=range(len(TALKS)))
 def test_a_success_lacks_nothing_and_each_thing_that_is_missing_is_a_reason(judge, case):
     said = [*exchanges(case["acts"])]
     assert judge.reasons(GOAL, said) == tuple(case["reasons"])
@@ -53,7 +48,7 @@ def test_a_success_lacks_nothing_and_each_thing_that_is_missing_is_a_reason(judg
 
 
 def test_running_out_of_turns_is_no_success(judge):
-    assert judge.reasons(GOAL, [*exchanges(TABLE[0]["acts"])], in_time=False) == ("out of turns",)
+    assert judge.reasons(GOAL, [*exchanges(TALKS[0]["acts"])], in_time=False) == ("out of turns",)
 
 
 def test_a_wish_without_preference_is_met_by_any_offer():

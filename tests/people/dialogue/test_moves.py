@@ -8,18 +8,10 @@ import yaml
 from bbq_torchrl.people.dialogue.moves import accepts, beside_yes, says, taken_back
 
 TEXTS = yaml.safe_load(Path(__file__).with_name("moves.yaml").read_text(encoding="utf-8"))
-HELD = {
-    "moviename": "barbie",
-    "city": "albany",
-    "date": "friday",
-    "starttime": "7 pm",
-    "theater": "amc pacific place 11 theater",
-    "video_format": "3d",
-}
 
 
 def heard(text, lexicon):
-    return "all" if says(text, "restart") else " ".join(taken_back(text, HELD, lexicon))
+    return "all" if says(text, "restart") else " ".join(taken_back(text, TEXTS["held"], lexicon))
 
 
 @pytest.mark.parametrize("kind", TEXTS["taken_back"])

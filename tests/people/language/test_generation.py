@@ -43,12 +43,6 @@ def test_equal_sessions_say_equal_things_and_others_differ(mouth):
     assert len(set(first)) > 5
 
 
-def test_a_value_is_said_word_for_word(mouth):
-    for session in range(20):
-        text = mouth.user(Frame("inform", {"theater": "amc san jose 10"}), session=session)
-        assert "amc san jose 10" in text.lower()
-
-
 @pytest.mark.parametrize(("slot", "value"), [("starttime", "after 10pm"), ("date", "tomorrow")])
 def test_a_value_with_its_own_preposition_is_given_no_other(mouth, slot, value):
     said = {mouth.agent(Frame("inform", {slot: value}), session=n) for n in range(50)}
@@ -89,7 +83,7 @@ def test_no_sentence_of_the_grammar_tells_what_it_asks_for(lexicon):
 def test_an_opening_of_which_each_phrase_needs_a_value_is_said_where_there_is_one(movie, tmp_path):
     (tmp_path / "language.yaml").write_text('user: {open: ["find me {city}"]}')
     speak = Generator(replace(movie, folder=tmp_path))
-    for informs in ({"city": "reno"}, {"genre": "comedy"}):
+    for informs in ({"city": "reno"}, {"genre": "comedy"}, {"theater": "amc san jose 10"}):
         said = [speak.user(Frame("inform", informs), session=n).lower() for n in range(20)]
         assert all(value in text for text in said for value in informs.values())
         assert any("find me reno" in text for text in said) == ("city" in informs)

@@ -27,13 +27,6 @@ def test_every_value_means_itself_in_the_most_frequent_spelling(lexicon):
     assert lexicon.link("numberofpeople", "two").values == ("2",)
 
 
-@pytest.mark.parametrize(
-    ("text", "words"),
-    [
-        ("elvis x9?", ["elvis", "x", "9", "?"]),
-        ("X-Men x12", ["x", "-", "men", "x", "12"]),
-        ("x2y max 2x", ["x2y", "max", "2x"]),
-    ],
-)
-def test_a_count_after_x_is_a_word_of_its_own(text, words):
-    assert tokenize(text) == words
+def test_a_count_after_x_is_a_word_of_its_own():
+    assert tokenize("elvis x9?") == ["elvis", "x", "9", "?"]
+    assert tokenize("X-Men x12 x2y max 2x") == ["x", "-", "men", "x", "12", "x2y", "max", "2x"]

@@ -3,7 +3,7 @@
 from itertools import pairwise
 
 import torch
-from torchrl.envs.utils import ExplorationType, set_exploration_type, step_mdp
+from torchrl.envs.utils import step_mdp
 
 from bbq_torchrl.domains import Goal
 from bbq_torchrl.domains.frames import Coding
@@ -22,24 +22,22 @@ class Dialogues:
         self.env = env = DialogueEnv(domain, batch_size=(batch,), slot_error_prob=errors, seed=seed)
         self.coding = Coding(env.simulator.domain)
         policy, generator = scripted_policy(policy, env), torch.Generator().manual_seed(seed)
-        ends = [domain.action_index(f"inform({domain.complete_slot})")]
-        ends.append(domain.action_index("thanks"))
+        ends = map(domain.action_index, (f"inform({domain.complete_slot})", "thanks"))
         drawn_from = {
             random_share: torch.arange(len(domain.actions)),
-            random_share * booking_share: torch.tensor(ends),
+            random_share * booking_share: torch.tensor(list(ends)),
         }
         tensordict = env.reset()
         self.states, self.actions = [env.dialogues], []
-        with set_exploration_type(ExplorationType.DETERMINISTIC):
-            while not bool(self.states[-1]["done"].all()):
-                tensordict = policy(tensordict)
-                for share, choices in drawn_from.items():
-                    drawn = choices[torch.randint(len(choices), (batch,), generator=generator)]
-                    is_drawn = torch.rand(batch, generator=generator) < share
-                    tensordict["action"] = torch.where(is_drawn, drawn, tensordict["action"])
-                self.actions.append(tensordict["action"])
-                tensordict = step_mdp(env.step(tensordict))
-                self.states.append(env.dialogues)
+        while not bool(self.states[-1]["done"].all()):
+            tensordict = policy(tensordict)
+            for share, choices in drawn_from.items():
+                drawn = choices[torch.randint(len(choices), (batch,), generator=generator)]
+                is_drawn = torch.rand(batch, generator=generator) < share
+                tensordict["action"] = torch.where(is_drawn, drawn, tensordict["action"])
+            self.actions.append(tensordict["action"])
+            tensordict = step_mdp(env.step(tensordict))
+            self.states.append(env.dialogues)
 
     def turns(self, place):
         """The states of one dialogue, its end included."""

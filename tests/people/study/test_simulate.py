@@ -61,8 +61,6 @@ def whole(loaded, folder):
 def test_everybody_takes_part_and_all_is_called_simulated(study, whole, folder):
     files, outcomes = whole, read_outcomes(folder / "study.sqlite")
     assert len(outcomes.sessions) == 2 * study.terms.participants
-    for agent in study.terms.agents:
-        assert len(outcomes.successes(agent)) == study.terms.participants
     assert {session.success for session in outcomes.sessions} == {True, False}
     assert {session.verdict for session in outcomes.sessions} == {True, False}
     assert outcomes.open == 0
