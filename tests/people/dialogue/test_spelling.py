@@ -29,14 +29,7 @@ def test_spellings_are_one_where_their_keys_are(movie, spelling):
     assert merged > 0
 
 
-@pytest.mark.parametrize(
-    ("slot", "one", "other"),
-    [
-        ("starttime", "2:15 pm", "2:15pm"),
-        ("numberofpeople", "2", "two"),
-        ("city", "los angeles", "la"),
-    ],
-)
+@pytest.mark.parametrize(("slot", "one", "other"), rows(__file__, "spellings.txt"))
 def test_a_wish_in_another_spelling_is_looked_up_offered_and_judged(
     partner, decided, spelling, slot, one, other
 ):

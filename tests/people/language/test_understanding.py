@@ -160,10 +160,8 @@ def test_a_domain_of_ones_own_is_measured_by_what_it_has(tmp_path, monkeypatch, 
     assert figures["megabytes"] > 0
     assert Path("restaurant.language.npz").read_text() == "trained"
 
-    (tmp_path / "said").mkdir()
-    (tmp_path / "said" / "anna.txt").write_text(
-        " | hello | greeting\nrequest(area) | bye | closing"
-    )
+    Path("said").mkdir()
+    Path("said/anna.txt").write_text(" | hello | greeting\nrequest(area) | bye | closing")
     assert __main__.main([*given, "--data", "said", "--out", "new/own.json"]) == 0
     assert "--data" not in capsys.readouterr().err
     assert json.loads(Path("new/own.json").read_text())["anna"]["sentences"] == 2

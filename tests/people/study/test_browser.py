@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 
-from .conftest import STUDY
+from .conftest import RATED, STUDY
 from .served import Server
 
 CHROMIUM = shutil.which("chromium")
@@ -15,7 +15,6 @@ pytestmark = [
     pytest.mark.skipif(CHROMIUM is None, reason="needs the program chromium"),
 ]
 PHONE = {"viewport": {"width": 360, "height": 640}, "has_touch": True, "is_mobile": True}
-SCALES = ("overall", "naturalness", "coherence", "completion")
 
 
 @pytest.fixture(scope="module")
@@ -90,7 +89,7 @@ def test_on_a_phone_the_goal_is_small_once_read_and_the_rating_is_in_sight(visit
     say(page, "bye")
     assert fits(page)
     assert in_sight(page, "fieldset >> nth=0") > 60
-    for name in ("verdict", *SCALES):
+    for name in RATED:
         page.locator(f"input[name={name}]").first.check()
     page.get_by_role("button", name="Next").click()
     assert page.locator("details.card").get_attribute("open") is not None  # another goal

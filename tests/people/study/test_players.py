@@ -78,37 +78,31 @@ def simulator(movie):
 def test_a_user_says_what_it_means_in_the_simulator(movie, simulator):
     coding, active = Coding(simulator.domain), torch.ones(len(movie.slots), dtype=torch.bool)
 
-    def meant(state):
-        informs, requests = state["meant_informs"].tolist(), state["pending"].tolist()
-        return str(coding.frame(int(state["user_act"]), informs, requests))
+    def frame(state, act, informs, requests):
+        return coding.frame(int(state[act]), state[informs].tolist(), state[requests].tolist())
 
-    ends = [movie.action_index("inform(taskcomplete)"), movie.action_index("thanks")]
+    names = list(map(str, movie.actions))
     satisfied = 0
-    for goal in range(1, 25):
-        user = SimulatedUser(simulator, Letters(), goal, goal)
-        generator = torch.Generator().manual_seed(goal)
+    for number, goal in enumerate(movie.goals[:24], start=1):
+        user = SimulatedUser(simulator, Letters(), number, number)
+        generator = torch.Generator().manual_seed(number)
         draws = simulator.draw_reset((), generator)
-        draws["goal"] = torch.tensor((goal - 0.5) / len(movie.goals))
+        draws["goal"] = torch.tensor((number - 0.5) / len(movie.goals))
         state = simulator.reset(draws, active)
-        assert int(state["goal_id"]) == goal - 1
+        assert int(state["goal_id"]) == number - 1
         said = None
-        random = torch.randint(len(movie.actions) - 2, (9,), generator=torch.manual_seed(goal))
-        # Half of them are told all they want, so that some are satisfied.
-        wanted = [
-            *(f"request({slot})" for slot in movie.goals[goal - 1].constraints),
-            *(f"inform({slot})" for slot in movie.goals[goal - 1].requests),
-            "inform(ticket)",
-        ]
-        known = {str(action): number for number, action in enumerate(movie.actions)}
-        helpful = [known[action] for action in wanted if action in known]
-        for action in (*(helpful if goal % 2 else random.tolist()), *ends):
-            assert user.say(said) == meant(state)
+        actions = torch.randint(len(names) - 2, (9,), generator=torch.manual_seed(number)).tolist()
+        if number % 2:  # they are told all they want, so that some are satisfied
+            wanted = [f"request({slot})" for slot in goal.constraints]
+            wanted += [*(f"inform({slot})" for slot in goal.requests), "inform(ticket)"]
+            actions = [names.index(name) for name in wanted if name in names]
+        for action in (*actions, names.index("inform(taskcomplete)"), names.index("thanks")):
+            assert user.say(said) == str(frame(state, "user_act", "meant_informs", "pending"))
             before = state
             state = simulator.turn(
                 state, torch.tensor(action), simulator.draw_turn((), generator), active
             )
-            numbers = state["agent_informs"].tolist(), state["agent_requests"].tolist()
-            said = coding.frame(int(state["agent_act"]), *numbers)
+            said = frame(state, "agent_act", "agent_informs", "agent_requests")
             if bool(state["done"]):
                 break
         assert not bool(before["done"])
