@@ -89,10 +89,7 @@ def test_a_key_of_a_terminal(partner, decided, typed, shown, times):
     console = Console(file=screen, force_terminal=True, color_system=None, width=100)
     names = dict.fromkeys(partner.agent.domain.slots, "name")
     chat = Chat(partner, choose_goal(partner.agent.domain, 1, 0), console, names=names)
-    with (
-        create_pipe_input() as keyboard,
-        create_app_session(input=keyboard, output=DummyOutput()),
-    ):
+    with create_pipe_input() as keys, create_app_session(input=keys, output=DummyOutput()):
         read = prompt()
-        chat.run(lambda: keyboard.send_text(next(lines)) or read())
+        chat.run(lambda: keys.send_text(next(lines)) or read())
     assert screen.getvalue().count(shown) == times

@@ -112,10 +112,7 @@ def test_in_a_talk(talk, case):
         assert not [part for part in then.get("says_not", ()) if part in text]
 
 
-OFFER = (
-    "inform(moviename=guardians of the galaxy vol. 3, city=newark)",
-    "inform(taskcomplete)",
-)
+OFFER = ("inform(moviename=guardians of the galaxy vol. 3, city=newark)", "inform(taskcomplete)")
 
 
 def test_answers_and_wishes_are_those_of_one_record(talk, spelling):

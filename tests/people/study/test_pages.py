@@ -71,10 +71,7 @@ def test_hostile_text_is_stored_and_shown_as_text(site):
         (["city=philly"], "rate", RATED, 409),
         (["bye"], "say", {"text": "more"}, 409),
         (["bye"], "rate", {**RATED, "verdict": ""}, 422),
-        *(
-            (["bye"], "rate", {**RATED, "coherence": given}, 422)
-            for given in ("0", "6", "4.0", "٣", "")
-        ),
+        *((["bye"], "rate", {**RATED, "coherence": n}, 422) for n in ("0", "6", "4.0", "٣", "")),
     ],
 )
 def test_a_step_that_cannot_be_taken_is_refused_in_a_sentence_and_changes_nothing(

@@ -79,11 +79,11 @@ def test_places_are_given_out_in_order_and_again_when_left(open_store, study, cl
     later = store.enroll(NONCES[6])
     assert store.enroll(NONCES[9]) is not None
     assert store.enroll(NONCES[10]) is None
-    plans = [
-        [(session.agent, session.goal) for session in store.sessions(token)]
-        for token in (tokens[0], later)
-    ]
-    assert plans[0] == plans[1]
+
+    def plan(token):
+        return [(session.agent, session.goal) for session in store.sessions(token)]
+
+    assert plan(tokens[0]) == plan(later)
 
 
 def test_who_has_finished_keeps_their_place(open_store, study, clock):
