@@ -36,12 +36,11 @@ def test_a_backup_of_the_living_file_has_everything_but_tokens_where_a_plain_cop
 ):
     link = site.enroll()
     site.say(link, *[TEXT] * 8)
-    (tmp_path / "plain").mkdir()
-    shutil.copyfile(study.data, tmp_path / "plain" / "study.sqlite")
+    plain = shutil.copyfile(study.data, tmp_path / "plain.sqlite")
     backup(study.data, copy := tmp_path / "copy.sqlite")
     with opened(copy) as connection:
         assert connection.execute("SELECT text FROM exchange").fetchall() == [(TEXT,)] * 8
-    with opened(tmp_path / "plain" / "study.sqlite") as connection:
+    with opened(plain) as connection:
         assert connection.execute("SELECT COUNT(*) FROM exchange").fetchone() < (8,)
     assert not list(tmp_path.glob("copy.sqlite-*"))  # it is one file
     token = link.removeprefix("/p/")
@@ -53,9 +52,7 @@ def test_a_backup_of_the_living_file_has_everything_but_tokens_where_a_plain_cop
 
 def test_a_backup_restored_beside_the_log_of_an_older_file_is_refused(site, study, tmp_path):
     site.say(link := site.enroll(), TEXT)
-    (tmp_path / "other").mkdir()
-    restored = tmp_path / "other" / "study.sqlite"
-    backup(study.data, restored)
+    backup(study.data, restored := tmp_path / "restored.sqlite")
     site.say(link, TEXT)
     log = shutil.copyfile(f"{study.data}-wal", f"{restored}-wal")
     for use in (read_outcomes, lambda data: Store(replace(study, path=data), site.talker)):

@@ -120,12 +120,15 @@ def test_the_figures_and_the_data_are_written(fill, tmp_path):
     write_report(tmp_path, fill([(5, 1), (4, 3)], text="=cmd() my name is Ann"))
     for figure in ("success.png", "differences.png", "ratings.png"):
         assert (tmp_path / figure).read_bytes().startswith(b"\x89PNG")
-    for file in ("exchanges.csv", "sessions.csv"):  # Excel reads é by this mark
-        assert (tmp_path / file).read_bytes().startswith("\ufeffsession,".encode())
+
+    def read(name):
+        text = (tmp_path / name).read_text("utf-8")
+        assert text.startswith("\ufeffsession,")  # Excel reads é by this mark
+        return list(csv.DictReader(text[1:].splitlines()))
+
     for file in ("exchanges.csv", "sessions.jsonl"):  # nor in what the agent understood and repeats
         assert "Ann" not in (tmp_path / file).read_text()
-    with (tmp_path / "exchanges.csv").open(newline="", encoding="utf-8-sig") as file:
-        rows = list(csv.DictReader(file))
+    rows = read("exchanges.csv")
     assert len(rows) == 2 * 2 * 3
     assert {row["text"] for row in rows} == {"'=cmd() my name is [name]"}
     assert [row["seconds"] for row in rows[:3]] == ["0.0", "10.0", "20.0"]
@@ -134,8 +137,7 @@ def test_the_figures_and_the_data_are_written(fill, tmp_path):
     assert lines[0]["exchanges"][0]["text"] == "=cmd() my name is [name]"
     assert lines[0]["exchanges"][0]["beliefs"]["entropy"] == 0.5625
     assert "state" not in lines[0]["exchanges"][0]
-    with (tmp_path / "sessions.csv").open(newline="", encoding="utf-8-sig") as file:
-        rows = list(csv.DictReader(file))
+    rows = read("sessions.csv")
     judged = {(row["overall"], row["success"], row["own_verdict"]) for row in rows}
     assert judged == {("5", "1", "1"), ("1", "0", "0"), ("4", "1", "1"), ("3", "0", "1")}
     alike = {(row["exchanges"], row["entropy"], row["simulated"]) for row in rows}

@@ -4,6 +4,7 @@ import csv
 import json
 from dataclasses import replace
 from statistics import fmean
+from types import SimpleNamespace
 
 import pytest
 
@@ -21,20 +22,15 @@ from .fakes import FakeTalker, script
 FILES = ("sessions.csv", "exchanges.csv", "sessions.jsonl")
 
 
-class Scripted:
-    """Says what is on its goal card, and is satisfied once it has said all but bye."""
-
-    def __init__(self, domain, goal, seed):
-        lines = script(domain, domain.goals[goal - 1])
-        self._lines = [*lines[: 1 + seed % len(lines)], "bye"]
-        self.satisfied = len(self._lines) > len(lines)
-
-    def say(self, said):
-        return self._lines.pop(0)
-
-
 def make_users(study):
-    return lambda goal, seed: Scripted(study.domain, goal, seed)
+    """Users who say what is on their goal cards, satisfied once they have said all but bye."""
+
+    def make(goal, seed):
+        lines = script(study.domain, study.domain.goals[goal - 1])
+        texts = [*lines[: 1 + seed % len(lines)], "bye"]
+        return SimpleNamespace(say=lambda _: texts.pop(0), satisfied=len(texts) > len(lines))
+
+    return make
 
 
 def played(study, folder, talker=None, seed=1):
