@@ -4,8 +4,10 @@ import pytest
 import torch
 from study.simulated import Dialogues
 
+from bbq_torchrl.domains import tensorize
 from bbq_torchrl.people.dialogue.tracking import Acted, Tracking
 from bbq_torchrl.people.language import Frame
+from bbq_torchrl.simulator import Simulator
 
 
 @pytest.mark.parametrize("errors", [0.0, 0.3])
@@ -25,6 +27,22 @@ def test_an_agent_sees_bit_for_bit_what_it_sees_in_the_simulator(movie, errors):
             assert torch.equal(tracking.observe(tracked), simulator.observe(state, active))
         turns += len(states)
     assert turns > 5 * 8
+
+
+def test_a_question_is_kept_while_the_person_answers_and_shown_again_after(movie):
+    tracking = Tracking(Simulator(tensorize(movie)), torch.ones(len(movie.slots), dtype=torch.bool))
+    theater = movie.slots.index("theater")
+    state = tracking.start(Frame("request", {"moviename": "wonka"}, ("theater",)))
+    state = tracking.act(state, movie.action_index("request(city)"))
+    state = tracking.hear(state, Frame("inform", {"city": "seattle"}))
+    assert not state["heard_requests"][theater]
+    assert state["open_requests"][theater]
+    state = tracking.act(state, movie.action_index("inform(date)"))
+    state = tracking.hear(state, Frame("confirm_answer"))
+    assert state["heard_requests"][theater]
+    state = tracking.act(state, movie.action_index("inform(theater)"))
+    assert not state["heard_requests"].any()
+    assert not state["open_requests"].any()
 
 
 def test_an_answer_stays_beside_an_offer_to_whom_it_does_not_matter():
