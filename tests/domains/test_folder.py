@@ -36,13 +36,6 @@ def refusal(folder):
     return str(caught.value)
 
 
-def test_saving_what_was_loaded_changes_no_byte(restaurant, folder, tmp_path):
-    columns = (folder / CSV).read_text().splitlines()[0].split(",")
-    save_data(tmp_path, columns, restaurant.records, restaurant.goals, restaurant.error_values)
-    for name in (CSV, GOALS, VALUES):
-        assert (tmp_path / name).read_bytes() == (folder / name).read_bytes()
-
-
 # Any one-line text: commas, quotes, spaces at the ends, other scripts.
 RESERVED = {"i do not care", "no match", "ticket available"}
 TEXT = st.text(
@@ -67,57 +60,6 @@ def test_any_records_goals_and_values_survive_the_files(restaurant_folder, recor
     assert domain.records == tuple(records)
     assert domain.goals == goals
     assert domain.error_values == values
-
-
-EDITED = [
-    (YAML, "name: restaurant", "name: 3", ["name", "3"]),
-    (YAML, "name: restaurant", "nam: restaurant", ["nam is not a key", "name must be given"]),
-    (YAML, "turn_width: 24", "turn_width: 24\nturn_width: 4", ["turn_width"]),
-    (YAML, "essential: [table", "essential: table #[", ["essential", "'table'"]),
-    (YAML, "  inform: [", "  tell: [", ["actions", "inform", "tell"]),
-    (YAML, "kind: script", "sort: script", ["policies.rule", "kind", "sort"]),
-    (YAML, "  rule:", "  rule: play\n  other:", ["policies.rule", "'play'"]),
-    (CSV, "area,day", "area,area", ["area"]),
-    (CSV, "saturday", "saturday,x", ["line 2", "9", "8"]),
-    (CSV, "italian", '"italian', [CSV]),
-    (GOALS, "indian", "martian", ["line 1", "cuisine", "'martian'", VALUES]),
-    (GOALS, '{"constraints"', "{", ["line 1"]),
-    (GOALS, '"constraints"', '"wishes"', ["line 1", "constraints", "wishes"]),
-    (GOALS, '"requests": []', '"requests": "area"', ["line 1", "requests", "'area'"]),
-    (GOALS, '"requests": []', '"requests": [9e999999]', ["line 1", "requests", "inf"]),
-    (GOALS, '"area"', '"cuisine"', ["line 1", "'cuisine'"]),
-]
-BOMB = ", ".join(f"&a{n + 1} [*a{n}, *a{n}]" for n in range(60))
-WRITTEN = [
-    (YAML, "", ["None"]),
-    (YAML, f"a: [&a0 [x, x], {BOMB}]", []),
-    (CSV, "", ["header"]),
-    (CSV, "area,day\nnorth,today", ["last line"]),
-    (CSV, 'area,day\n"no\nrth",today\n,\n', ["line 2: area", "line 4"]),
-    (GOALS, "", ["goals"]),
-    (GOALS, "[]\n", ["line 1", "[]"]),
-    (GOALS, json.dumps("x" * 1_000_000), ["line 1", "characters ..."]),
-    (GOALS, "[" * 50_000, ["line 1"]),
-    (VALUES, "{}", [VALUES]),
-    (VALUES, "[]", ["[]"]),
-    (VALUES, '{"area": "south"}', ["area", "'south'"]),
-    (VALUES, '{"area": [3]}', ["area", "[3]"]),
-]
-
-
-@pytest.mark.parametrize(("name", "old", "new", "named"), EDITED)
-def test_a_change_that_damages_a_file_is_refused(folder, name, old, new, named):
-    edit(folder / name, old, new)
-    told = refusal(folder)
-    assert all(text in told for text in [name, *named])
-
-
-@pytest.mark.parametrize(("name", "text", "named"), WRITTEN, ids=lambda value: str(value)[:20])
-def test_a_file_of_another_form_is_refused(folder, name, text, named):
-    (folder / name).write_text(text)
-    told = refusal(folder)
-    assert all(text in told for text in [name, *named])
-    assert len(told) < 1_500
 
 
 @pytest.mark.parametrize("name", [YAML, CSV, GOALS, VALUES])
@@ -153,12 +95,9 @@ def test_a_goal_may_spell_a_value_in_another_case(folder):
     assert load_domain(folder).goals == (Goal({"area": "OLD town"}),)
 
 
-@pytest.mark.parametrize(
-    ("written", "slots"), [("[area, cuisine]", ("area", "cuisine")), ("area", ("area",))]
-)
-def test_one_slot_or_several_can_open_a_dialogue(folder, written, slots):
-    edit(folder / YAML, "opening_slot: null", f"opening_slot: {written}")
-    assert load_domain(folder).opening_slots == slots
+def test_several_slots_can_open_a_dialogue(folder):
+    edit(folder / YAML, "opening_slot: null", "opening_slot: [area, cuisine]")
+    assert load_domain(folder).opening_slots == ("area", "cuisine")
 
 
 ALIKE = {
@@ -189,26 +128,17 @@ def test_texts_of_other_letters_are_not_alike(one, other):
 
 
 @pytest.mark.parametrize(
-    ("name", "old", "new"),
+    ("name", "old", "new", "told"),
     [
-        (CSV, "saturday,7:30 pm", "saturday,7:30\u00a0pm"),
-        (VALUES, '"7:30 pm"', '"7:30 pm "'),
-        (GOALS, '"7:30 pm"', '"7:30  pm"'),
+        (CSV, "7:30 pm", "7:30\u00a0pm", r"line 2: it has hour = '7:30\xa0pm'"),
+        (CSV, "7:30 pm", "no\u00a0match", r"hour = 'no\xa0match', which never matches 'no match'"),
+        (VALUES, '"7:30 pm"', '"7:30 pm "', "hour = '7:30 pm ', which never matches '7:30 pm'"),
+        (GOALS, '"7:30 pm"', '"7:30  pm"', "line 2: it has hour = '7:30  pm'"),
     ],
 )
-def test_a_folder_with_a_value_that_never_matches_its_like_is_refused(folder, name, old, new):
-    lines = (folder / name).read_text().splitlines()
-    line = next(number for number, text in enumerate(lines, 1) if old in text)
+def test_a_value_that_never_matches_its_like_is_refused(folder, name, old, new, told):
     edit(folder / name, old, new)
-    told, odd = refusal(folder), new.removeprefix("saturday,").strip('"')
-    assert f"hour = {odd!a}" in told
-    assert "'7:30 pm'" in told
-    assert f"{name}: " if name == VALUES else f"{name}, line {line}: " in told
-
-
-def test_a_value_that_looks_like_a_reserved_one_is_refused(folder):
-    edit(folder / CSV, "saturday,7:30 pm", "saturday,no\u00a0match")
-    assert r"hour = 'no\xa0match', which never matches 'no match'" in refusal(folder)
+    assert told in refusal(folder)
 
 
 def test_the_spelling_that_most_places_have_is_the_one_to_write(folder):

@@ -5,11 +5,13 @@ from pathlib import Path
 
 import forked
 import pytest
-from tiny import composed, without_drawing
+from tiny import TINY, composed, without_drawing
 
 from bbq_torchrl.runs.train import main, run
 
-from .trusted import DQN, SMALL
+from .trusted import DQN
+
+SMALL = (*TINY, "protocol.rounds=3", "protocol.eval_dialogues=30", "protocol.eval_batch=30")
 
 
 @pytest.fixture(scope="session")

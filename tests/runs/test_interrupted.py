@@ -5,6 +5,7 @@ import os
 import signal
 
 import pytest
+import tiny
 from tiny import composed, rows, without_drawing
 
 from bbq_torchrl.runs.folders import is_finished, load_config
@@ -13,9 +14,14 @@ from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import RunFolderGoneError
 from bbq_torchrl.utils import interruption
 
-from .trusted import DQN, resumed
+from .trusted import DQN
 
 pytestmark = pytest.mark.usefixtures("without_curves")
+
+
+def resumed(folder):
+    """Goes on with a run as ``train.py resume=<folder>`` does, in this process."""
+    return run(tiny.resumed(folder), folder)
 
 
 class Killed(BaseException):

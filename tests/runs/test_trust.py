@@ -19,9 +19,17 @@ from bbq_torchrl.utils.files import LOCK, PROCESS
 from bbq_torchrl.utils.output import REFUSED
 from bbq_torchrl.utils.reports import Report, Table
 
-from .trusted import DQN, state_of
+from .trusted import DQN
 
 pytestmark = pytest.mark.usefixtures("without_curves")
+
+
+def state_of(folder):
+    return {
+        path.relative_to(folder): (path.stat().st_mtime_ns, path.read_bytes())
+        for path in folder.rglob("*")
+        if path.is_file() and path.name != LOCK
+    }
 
 
 def refused(main, *arguments, cwd):
