@@ -107,9 +107,7 @@ def test_what_is_left_out_or_changed_is_said_by_file(imported, tmp_path):
 
 REFUSED = {
     "an unknown essential slot": ([*CHOICES[:3], "from"], {}, "essential .*pickup, .* 'from'"),
-    "too few acts": (CHOICES, {"acts": REQUIRED_ACTS[:-1]}, r"acts .*'deny'"),
     "no slot": (CHOICES, {"slots": [""]}, r"slots\.txt"),
-    "no usable goal": (CHOICES, {"goals": [goal("zoo", "hotel", asked=("pickup",))]}, "'pickup'"),
 }
 
 

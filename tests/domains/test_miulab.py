@@ -94,7 +94,6 @@ DAMAGED = {
     "a date": (pickled(datetime.date(2018, 2, 2)), "datetime"),
     "a function": (pickled(len), "len"),
     "an outside object": (b"Psecret\n.", "secret"),
-    "nothing": (b"", ""),
     "a part": (pickle.dumps([GOAL], 0)[:-9], ""),
     "something after it": (pickle.dumps([GOAL], 0) + b"x", "1 bytes"),
     "a huge text": (b"\x80\x04\x8e" + b"\xff" * 7 + b"\x0f", "MemoryError"),
@@ -119,7 +118,6 @@ WRONG = {
         ["goal 0", "request_slots", "city", "'UNK'", "'x'"],
     ),
     "kb by truth": ("kb", {True: {}}, ["True"]),
-    "kb empty": ("kb", {}, ["records"]),
     "row value": ("kb", {0: {"city": ["x"]}}, ["row 0", "city"]),
     "values a text": ("values", {"city": "x"}, ["city", "'x'"]),
     "value no text": ("values", {"city": ["seattle", 3]}, ["city", "3"]),
@@ -135,10 +133,6 @@ def test_a_file_of_another_form_is_refused(load, tmp_path, name, content, named)
 
 
 UNUSABLE = {
-    "a goal": (
-        {"goals": [GOAL, GOAL | {"request_slots": {"city": "UNK"}}]},
-        ["goals.p, goal 1: ", "['city']"],
-    ),
     "a record": (
         {"kb": {1: {"city": "x"}, 4: {"ticket": "x"}, 7: {"city": "y", "zip": "no match"}}},
         ["kb.p, row 4: ", "'ticket'"],
@@ -170,10 +164,6 @@ def test_a_corpus_without_usable_goals_is_refused_and_says_why(load):
     with pytest.raises(ValueError, match=r"goals\.p, goal 0: .*'area'.*(?s:.*)goals") as caught:
         load({"goals": [GOAL | {"request_slots": {"area": "UNK"}}]})
     assert len(caught.value.faults) == 2
-
-
-def test_a_record_is_left_without_its_unknown_slots(load):
-    assert load({"kb": {0: {"city": "seattle", "area": "x"}}}).records == ({"city": "seattle"},)
 
 
 def test_values_that_never_match_their_like_stay(load):
