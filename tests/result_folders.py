@@ -1,6 +1,9 @@
 """Result folders of runs that never ran."""
 
+from dataclasses import asdict
+
 import yaml
+from tiny import composed
 
 from bbq_torchrl.evaluation.run_result import RunResult, replica_result, write_json
 
@@ -69,20 +72,11 @@ def make_run(
     """
     folder.mkdir(parents=True)
     explore = explore or {"dqn": "epsilon_greedy"}.get(agent, "thompson")
-    keys = {"target": "map", "prior_std": 0.1} if agent == "bbqn" else {"dropout": 0.5}
-    config = {
-        "agent": {"name": agent, "lr": 0.001, **keys, **agent_keys},
-        "explore": {"name": explore}
-        | ({"eps_init": 0.1} if explore == "epsilon_greedy" else {"per": "step"}),
-        "intrinsic": {"name": "none"},
-        "env": {"name": "full", "max_turn": 40},
-        "domain": {"name": "movie"},
-        "spike": {"name": "rule", "dialogues": 100, "protect": True},
-        "protocol": {"rounds": rounds, "checkpoint_every": 10 + seed, "batch_size": 32},
-        "logger": {"name": "csv" if seed else "tensorboard"},
-        "seed": seed,
-        "replicas": len(rates),
-    }
+    config = asdict(composed(f"agent={agent}", f"explore={explore}"))
+    config |= {"seed": seed, "replicas": len(rates)}
+    config["agent"] |= agent_keys
+    config["protocol"] |= {"rounds": rounds, "checkpoint_every": 10 + seed}
+    config["logger"]["name"] = "csv" if seed else "tensorboard"
     for key, value in (changes or {}).items():
         group, _, name = key.rpartition(".")
         (config[group] if group else config)[name] = value

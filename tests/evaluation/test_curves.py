@@ -26,18 +26,9 @@ def test_a_level_is_reached_in_the_first_round_whose_last_rounds_mean_it(success
         assert rounds == (reached[0] if reached else INF)
 
 
-def test_early_success_is_compared_by_pairs_where_both_trained_for_as_long(add):
-    agents = {"bbqn": 0.8, "dqn": 0.6}
-    long = [add([rate], agent=agent, rounds=30) for agent, rate in agents.items()]
-    assert pair(*read_groups(long)).differences["early"] == pytest.approx([0.1])
-    short = [add([rate], agent=agent, seed=7) for agent, rate in agents.items()]
-    assert "early" not in pair(*read_groups(short)).differences
-
-
 @pytest.mark.parametrize(
     ("dialogues", "median", "shown"),
     [
-        ([700.0], 700, "700 (1 of 1)"),
         ([3000.0, 1000, 2000], 2000, "2,000 (3 of 3)"),
         ([1000.0, 2000, INF, INF], 2000, "2,000 (2 of 4)"),
         ([1000.0, INF, INF], INF, "> 5,000 (1 of 3)"),
@@ -47,11 +38,6 @@ def test_the_median_is_when_half_of_the_seeds_had_reached_it(dialogues, median, 
     found = Reach(tuple(dialogues), trained=5000)
     assert (found.median, str(found)) == (median, shown)
     assert found.csv_columns() == {"": median, "_reached": found.reached}
-
-
-def test_a_group_reaches_a_level_in_dialogues(add):
-    (group,) = read_groups([add([0.8, 1.0, 1.0], rounds=6)])
-    assert group.reach(0.5).dialogues == (INF, 250, 250)
 
 
 def test_seeds_evaluated_in_different_rounds_have_those_in_common(add):
@@ -67,7 +53,7 @@ def test_evaluations_are_compared_by_pairs_over_the_rounds_in_common(add):
     runs = [
         add([0.8, 0.9], rounds=8, eval_every=2),
         add([0.7, 0.7], eval_every=4, **dqn),
-        add([0.7, 0.7], dropout=0.0, **dqn),
+        add([0.7, 0.7], dropout=0.1, **dqn),
     ]
     often, rarely, never = read_groups(runs)
     # Rounds 4 and 8 alone: .4 and .8, .5 and .9 against .3 and .7, twice.
