@@ -2,12 +2,10 @@
 
 import csv
 import re
-from dataclasses import fields
 
 import pytest
 from tiny import TINY, composed
 
-from bbq_torchrl.options import Config, EvaluateConfig, schemas
 from bbq_torchrl.runs.train import run
 from scripts import write_docs
 
@@ -58,15 +56,6 @@ def test_a_block_is_replaced_and_the_rest_is_kept():
     for bad in ("b -->\n<!-- end: b", "a -->\nold\n<!-- end: b"):
         with pytest.raises(ValueError, match=r"'b'|not closed"):
             write_docs.rewrite(f"<!-- begin: {bad} -->", {"a": lambda: "new"})
-
-
-def test_every_key_is_documented():
-    page = text_of("docs", "configuration.md")
-    roots = [("", Config), ("", EvaluateConfig)]
-    groups = [(f"{name}.", option) for name, of in schemas().items() for option in of.values()]
-    for prefix, option in [*roots, *groups]:
-        keys = {item.name for item in fields(option)} - {"name", *schemas()}
-        assert not [key for key in keys if f"| `{prefix}{key}` |" not in page], option
 
 
 def test_the_site_has_every_page_and_searches_without_a_server():
