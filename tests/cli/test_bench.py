@@ -29,14 +29,11 @@ KEYS = [
 ]
 
 
-def arguments(folder, *agents, budgets=("4", "12")):
-    chosen = ["--agents", *agents, "--domains", "hotel", "--errors", "0.1"]
-    return [str(folder), *chosen, "--budgets", *budgets, "--seeds", "2", "--set", *KEYS]
-
-
-def run(folder, *given, code=0):
+def run(folder, *agents, code=0):
     """Runs the command in a child. Returns what it printed."""
-    return forked.call(lambda: bench.main(arguments("made", *given)), cwd=folder, code=code)
+    chosen = ["--agents", *agents, "--domains", "hotel", "--errors", "0.1"]
+    given = ["made", *chosen, "--budgets", "4", "12", "--seeds", "2", "--set", *KEYS]
+    return forked.call(lambda: bench.main(given), cwd=folder, code=code)
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -63,7 +60,9 @@ def test_the_page_has_a_row_for_each_agent(made):
     assert {"| dqn |", "| own |"} <= {line[:7] for line in page.splitlines()}
     assert "Missing" not in page
     assert (folder / "made" / "bench.md").read_text().startswith(page.rstrip("\n"))
-    assert (folder / "made" / "profiles.svg").is_file()
+    figures = [f"{name}.{kind}" for name in ("profiles", "booked") for kind in ("png", "svg")]
+    names = {file.name for file in (folder / "made").iterdir()}
+    assert {*figures, "bench.md", "bench.csv"} <= names
 
 
 def test_a_row_says_what_the_run_folder_says(made):

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from tiny import composed
+from tiny import TINY, composed
 
 from bbq_torchrl.evaluation.finished_runs import agent_name
 from bbq_torchrl.evaluation.groups import pair, read_groups, references
@@ -56,10 +56,8 @@ def test_one_training_does_not_count_as_two_seeds(add, stds):
 
 
 def test_references_are_drawn_where_all_runs_have_the_same_users(add):
-    known, privileged = (
-        {"clairvoyant": 0.8},
-        "clairvoyant (privileged: it reads what no agent is shown)",
-    )
+    known = {"clairvoyant": 0.8}
+    privileged = "clairvoyant (privileged: it reads what no agent is shown)"
     first = add([0.5], references=known, scripted={"rule": 0.2, "repair": 0.7})
     other = add([0.5], seed=1, references={"clairvoyant": 0.7}, scripted={"rule": 0.3})
     fewer = add([0.5], seed=2)
@@ -78,9 +76,7 @@ NONE, VIME = {"name": "none"}, {"name": "vime", "weights": "map"}
     [
         # a target and a gain that differ are both named
         ("bbqn", {"target": "mc"}, "thompson", VIME, "BBQN-MC-VIME-MAP"),
-        ("bbqn", {"target": "map"}, "thompson_boltzmann", VIME, "Soft BBQN-VIME-MAP"),
         ("dqn", {"double": True}, "boltzmann", NONE, "Double DQN-Boltzmann"),
-        ("bootstrap", {}, "greedy", NONE, "DQN-Bootstrap, explore=greedy"),
         # a name leaves out the keys of a user's options
         ("polyak", {"target": 0.005, "noisy": 0.1}, "greedy", NONE, "POLYAK, explore=greedy"),
         ("bbqn", {"target": "mc"}, "thompson", VIME | {"name": "novelty"}, "BBQN-MC-NOVELTY"),
@@ -102,16 +98,14 @@ def compared(*folders):
 
 
 def test_the_same_replica_of_two_agents_sees_the_same_dialogues(tmp_path):
-    small = ["replicas=2", "protocol.dialogues=6", "spike.dialogues=6", "agent.hidden=[8]"]
-    small += ["domain=hotel", "protocol.capacity=1000"]
     spiked, goals = [], []
-    for overrides in (["agent=bbqn"], ["agent=dqn"]):
-        trainer, _ = build_trainer(composed(*overrides, *small), tmp_path / overrides[-1])
-        trainer.progress = False
-        trainer.begin()
-        spiked.append(
-            [buffer[:].select("observation", "action") for buffer in trainer.replay.buffers]
+    for agent in ("bbqn", "dqn"):
+        trainer, _ = build_trainer(
+            composed(*TINY, f"agent={agent}", "replicas=2"), tmp_path / agent
         )
+        trainer.begin()
+        buffers = trainer.replay.buffers
+        spiked.append([buffer[:].select("observation", "action") for buffer in buffers])
         trainer._collect(0)
         goals.append(trainer.env.dialogues["goal_id"])
     assert all((mine == theirs).all() for mine, theirs in zip(*spiked, strict=True))

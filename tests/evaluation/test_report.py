@@ -1,9 +1,7 @@
 """Runs are found, compared with the first of them, and reported."""
 
-import json
-
 import pytest
-from result_folders import metrics_text
+from result_folders import metrics_text, run_result
 from tiny import rows
 
 from bbq_torchrl.evaluation.finished_runs import find_runs
@@ -56,9 +54,8 @@ def test_a_report_is_printed_and_written_in_sections_of_a_key(add, report, tmp_p
     assert "](curves.png)" in text
     tables = [f"{name}_env.name_{env}.csv" for name in ("report", "pairs") for env in envs]
     figures = [f"{name}.{kind}" for name in ("curves", "success") for kind in ("png", "svg")]
-    assert {file.name for file in out.iterdir()} == {
-        *(*tables, *figures, "report.md", "replicas.csv")
-    }
+    names = {*tables, *figures, "report.md", "replicas.csv"}
+    assert {file.name for file in out.iterdir()} == names
     assert (out / "curves.png").read_bytes().startswith(b"\x89PNG")
     replicas = rows(out / "replicas.csv")
     assert len(replicas) == 20
@@ -77,26 +74,21 @@ def test_one_setting_has_no_pairs_and_none_of_an_earlier_report_stay(add, report
     assert not (tmp_path / "pairs.csv").exists()
 
 
-@pytest.mark.parametrize("state", ["killed", "extended"])
-def test_a_run_that_is_not_finished_is_named_and_breaks_no_report(add, report, state):
+def test_runs_that_are_not_finished_are_named_and_break_no_report(add, report):
     add(GOOD)
-    if state == "killed":
-        folder = add(GOOD, seed=1)
-        (folder / "result.json").unlink()
-    else:  # to more rounds: its metrics are of one more than the result is of
-        folder = add(GOOD, seed=1, changes={"protocol.rounds": 5})
-        (folder / "metrics.csv").write_text(metrics_text(GOOD, rounds=4))
+    killed = add(GOOD, seed=1)
+    (killed / "result.json").unlink()
+    # To more rounds: its metrics are of one more than the result is of.
+    extended = add(GOOD, seed=2, changes={"protocol.rounds": 5})
+    (extended / "metrics.csv").write_text(metrics_text(GOOD, rounds=4))
     text = report()
-    assert str(folder) in text.split("\n\n| agent |")[0]
+    named = text.split("\n\n| agent |")[0]
+    assert str(killed) in named
+    assert str(extended) in named
     assert "| BBQN-MAP | thompson | 5 |" in text
 
 
-def test_the_table_of_replicas_says_which_commit_a_run_is_of(add, report, tmp_path):
-    commits = "c33954a" + 33 * "0", None, "5b76220" + 33 * "1"
-    for seed, commit in enumerate(commits):
-        file = add([0.5], seed=seed) / "result.json"
-        of_commit = {"commit": commit, "clean": seed == 0}
-        file.write_text(json.dumps(json.loads(file.read_text()) | of_commit))
-    report("--out", str(tmp_path))
-    found = [row["commit"] for row in rows(tmp_path / "replicas.csv")]
-    assert found == ["c33954a", "unknown", "5b76220 (changed)"]
+def test_a_result_says_which_commit_it_is_of():
+    commits = [("c33954a" + 33 * "0", True), (None, None), ("5b76220" + 33 * "1", False)]
+    results = [run_result([0.5], commit=commit, clean=clean) for commit, clean in commits]
+    assert [result.code for result in results] == ["c33954a", "unknown", "5b76220 (changed)"]

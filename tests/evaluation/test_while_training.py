@@ -13,7 +13,6 @@ from bbq_torchrl.cli import evaluate as command
 from bbq_torchrl.evaluation.curves import read_metrics
 from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.runs.train import build_trainer, run
-from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import evaluate
 from bbq_torchrl.utils.seeds import derive_seed
 
@@ -28,7 +27,6 @@ SMALL = (
     "spike.policy=random",
     "env.max_turn=12",
     "replicas=2",
-    "domain=folder",
 )
 AGENTS = {
     "new draws, by the dialogue": ("agent=bbqn", "agent.evaluate=thompson", "explore.per=episode"),
@@ -37,9 +35,8 @@ AGENTS = {
 }
 
 
-@pytest.fixture
-def small(restaurant_folder):
-    return lambda *choices: composed(*SMALL, f"domain.path={restaurant_folder}", *choices)
+def small(*choices):
+    return composed(*SMALL, *choices)
 
 
 def played(config, trainer, actor, round_number):
@@ -51,7 +48,7 @@ def played(config, trainer, actor, round_number):
 
 
 @pytest.mark.parametrize("agent", nightly(AGENTS, ["domain extension"]))
-def test_a_row_has_what_the_policy_does_and_training_is_bitwise_the_same(small, tmp_path, agent):
+def test_a_row_has_what_the_policy_does_and_training_is_bitwise_the_same(tmp_path, agent):
     learned, rows = [], []
     for every in (0, 2):
         config = small(*AGENTS[agent], "protocol.rounds=4")
@@ -80,7 +77,7 @@ def test_a_row_has_what_the_policy_does_and_training_is_bitwise_the_same(small, 
         assert metrics[f"eval_{column}"][3].tolist() == pytest.approx(expected)
 
 
-def test_the_best_network_plays_as_it_did(small, tmp_path):
+def test_the_best_network_plays_as_it_did(tmp_path):
     config = small("agent=dqn", "protocol.rounds=6", "protocol.eval_every=1")
     with without_drawing():
         run(config, tmp_path)
@@ -97,11 +94,8 @@ def test_the_best_network_plays_as_it_did(small, tmp_path):
     for replica, entry in enumerate(result.per_replica):
         found = entry.while_training
         rates = metrics["eval_success_rate"][:, replica]
-        assert (found.best, found.best_round, found.last) == (
-            rates.max(),
-            rates.argmax(),
-            rates[-1],
-        )
+        expected = (rates.max(), rates.argmax(), rates[-1])
+        assert (found.best, found.best_round, found.last) == expected
         assert found.last_five == pytest.approx(rates[1:].mean())
         best = played(config, trainer, parts.actor, int(found.best_round))
         turns = metrics["eval_turns"][int(found.best_round), replica]
@@ -109,7 +103,7 @@ def test_the_best_network_plays_as_it_did(small, tmp_path):
         assert best.success[replica].double().mean().item() == pytest.approx(found.best)
 
 
-def test_a_best_from_before_the_domain_grew_counts_until_the_next_evaluation(small, tmp_path):
+def test_a_best_from_before_the_domain_grew_counts_until_the_next_evaluation(tmp_path):
     trainer, _ = build_trainer(small("env=domain_ext", "env.start=2", "env.every=3"), tmp_path)
     slots = len(trainer.env.schedule.additions(trainer.env.domain))
     growth, best, expected = range(2, 2 + 3 * slots, 3), trainer.evaluator.best, -1
@@ -122,7 +116,7 @@ def test_a_best_from_before_the_domain_grew_counts_until_the_next_evaluation(sma
         assert best.round.tolist() == [expected] * 2, number
 
 
-def test_a_run_ends_with_its_success_beside_the_scripted_policies(small, tmp_path, caplog):
+def test_a_run_ends_with_its_success_beside_the_scripted_policies(tmp_path, caplog):
     choices = ("protocol.eval_dialogues=400", "protocol.eval_batch=800", "env.max_turn=40")
     config = small("agent=dqn", "protocol.rounds=1", "protocol.eval_every=0", *choices)
     with caplog.at_level(logging.INFO, "bbq_torchrl"):
@@ -139,8 +133,5 @@ def test_a_run_ends_with_its_success_beside_the_scripted_policies(small, tmp_pat
         assert name in part
         assert (f"{rate:.2f}".lstrip("0") if 0.005 <= rate < 0.995 else f"{rate:.0f}") in part
 
-    # It was not evaluated while training, so there are no best weights.
     assert read_result(tmp_path) == result
     assert result.while_training is None
-    with pytest.raises(ConfigError, match="weights"):
-        command.evaluation(command.composed([f"policy={tmp_path}", "dialogues=5", "weights=best"]))
