@@ -34,11 +34,9 @@ def test_the_example_in_a_docstring_is_true(name):
 def test_the_upper_bound_is_the_mean_without_a_coefficient_and_prefers_spread_with_one():
     from bbq_extending.ucb_policy import UpperConfidence
 
-    torch.manual_seed(0)
     network = BayesMLP(2, 2, (), mean_init="zero")
     with torch.no_grad():  # of two actions of mean 0, the second one's weights are uncertain
-        _, layer = network.layout, network.posterior
-        ((weight, bias),) = network.layout.unflatten(layer.rho)
+        ((weight, bias),) = network.layout.unflatten(network.posterior.rho)
         weight.fill_(-20), bias.fill_(-20)
         weight[:, 1] = 1.0
     actor = q_actor(network, Categorical(2), action_mask_key=None)
@@ -89,15 +87,6 @@ def epinet(installed):
     return EpinetMLP(FEATURES, ACTIONS, (8,), index_size=4, prior_scale=2.0, replicas=(2,))
 
 
-@pytest.fixture
-def index_actor(epinet):
-    from bbq_extending.index_sampling import INDEX
-
-    return q_actor(
-        epinet, Categorical(ACTIONS), in_keys=("observation", INDEX), action_mask_key=None
-    )
-
-
 def test_an_epinet_changes_values_by_the_index_and_leaves_the_base_network_alone(epinet):
     x, index = torch.randn(2, 5, FEATURES), torch.randn(2, 5, 4)
     base = epinet(x, torch.zeros(2, 5, 4))
@@ -113,10 +102,12 @@ def test_an_epinet_changes_values_by_the_index_and_leaves_the_base_network_alone
     assert once.abs().max() > 0.1
 
 
-def test_an_index_is_the_same_in_a_value_and_its_target(epinet, index_actor):
-    from bbq_extending.index_sampling import IndexLoss
+def test_an_index_is_the_same_in_a_value_and_its_target(epinet):
+    from bbq_extending.index_sampling import INDEX, IndexLoss
 
-    loss = IndexLoss(index_actor, 4, gamma=0.5)
+    keys = ("observation", INDEX)
+    actor = q_actor(epinet, Categorical(ACTIONS), in_keys=keys, action_mask_key=None)
+    loss = IndexLoss(actor, 4, gamma=0.5)
     HardUpdate(loss, value_network_update_interval=0)
     batch = transitions((2,), (6,))
     assert not loss.has_fixed_targets

@@ -115,35 +115,21 @@ def test_the_notebook_runs_from_top_to_bottom(notebook, monkeypatch, tmp_path):
 TANDEM = (*TINY, "replicas=2")
 
 
-@pytest.fixture
-def example(names_of):
-    return names_of("tandem")
-
-
 @pytest.mark.slow
-def test_the_active_agents_rounds_are_those_of_an_ordinary_run(example, tmp_path):
-    trainers = example["make_trainers"]("bbqn_map", "dqn", TANDEM, tmp_path)
-    rows = [row for part in example["tandem"](*trainers) for row in part]
-    protocol = example["PROTOCOL"]
-    config = compose([f"+experiment=[agents/bbqn_map,{protocol}]", *TANDEM])
-    alone = build_trainer(config, tmp_path / "alone")[0].train()
-    watched = read_metrics(tmp_path / "active")
-    for name in ("loss", "reward", "eval_success_rate"):
-        assert watched[name].ravel().tolist() == [row[name] for row in alone]
-    assert [row for row in rows if row[0] == "active"] == [
-        ("active", row["round"] + 1, row["replica"], row["eval_success_rate"]) for row in alone
-    ]
-
-
-@pytest.mark.slow
-def test_an_agent_in_tandem_with_itself_learns_what_the_active_one_does(example, tmp_path):
+def test_an_agent_in_tandem_with_itself_learns_what_it_does_in_an_ordinary_run(names_of, tmp_path):
+    example = names_of("tandem")
     active, passive = example["make_trainers"]("dqn", "dqn", TANDEM, tmp_path)
     begun = copy.deepcopy(active.learner.loss.state_dict())
-    for played in example["tandem"](active, passive):
-        rates = {
-            role: [row[3] for row in played if row[0] == role] for role in ("active", "passive")
-        }
-        assert rates["active"] == rates["passive"]
+    rows = [row for part in example["tandem"](active, passive) for row in part]
+
+    config = compose([f"+experiment=[agents/dqn,{example['PROTOCOL']}]", *TANDEM])
+    alone = build_trainer(config, tmp_path / "alone")[0].train()
+    rates = [(row["round"] + 1, row["replica"], row["eval_success_rate"]) for row in alone]
+    for role in ("active", "passive"):
+        assert [row for row in rows if row[0] == role] == [(role, *rate) for rate in rates]
+    watched = read_metrics(tmp_path / "active")
+    for name in ("loss", "reward"):
+        assert watched[name].ravel().tolist() == [row[name] for row in alone]
     learned = active.learner.loss.state_dict()
     assert_close(learned, passive.learner.loss.state_dict(), rtol=0, atol=0)
     assert any(not torch.equal(value, begun[key]) for key, value in learned.items())
