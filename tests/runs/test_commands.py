@@ -10,13 +10,14 @@ import shutil
 import forked
 import pytest
 import torch
-from tiny import TINY, composed, rows
+from tiny import TINY, composed
 
 from bbq_torchrl import load_run
 from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.runs.build import divergence
 from bbq_torchrl.runs.compose import usage
+from bbq_torchrl.runs.folders import load_config
 from bbq_torchrl.runs.train import main as train_main, run
 from bbq_torchrl.settings import ConfigError
 from bbq_torchrl.trainers import evaluate as evaluate_policy
@@ -30,25 +31,12 @@ def train(command, *more, cwd, code=0):
     return forked.call(train_main, *command.split(), *more, cwd=cwd, code=code)
 
 
-def test_a_run_folder_holds_configuration_metrics_result_curve_and_checkpoints(commanded):
-    names = {path.name for path in commanded.iterdir()}
-    files = {"config.yaml", ".hydra", "metrics.csv", "result.json", "curve.png", "checkpoint"}
-    assert files <= names
-    assert "scalars" not in names  # metrics.csv is the one file of a round's numbers
-    assert [(row["round"], row["replica"]) for row in rows(commanded / "metrics.csv")] == [
-        (str(number), str(replica)) for number in range(3) for replica in range(3)
-    ]
-    assert (commanded / "curve.png").read_bytes().startswith(b"\x89PNG")
-
-
 def test_the_result_says_what_ran_and_how_well(commanded):
     result = json.loads((commanded / "result.json").read_text())
     expected = {"agent": "bbqn", "explore": "thompson", "env": "domain_ext", "domain": "hotel"}
     expected |= {"seed": 7, "rounds": 3, "replicas": 3, "dialogues": 90}
     assert {key: result[key] for key in expected} == expected
     assert [item["dialogues"] for item in result["per_replica"]] == [30, 30, 30]
-    mean = sum(item["success_rate"] for item in result["per_replica"]) / 3
-    assert result["success_rate"] == pytest.approx(mean)
     assert {"torch", "torchrl", "tensordict", "bbq-torchrl"} <= result["versions"].keys()
     begun, ended = (
         (commanded / file).stat().st_mtime for file in (".hydra/overrides.yaml", "result.json")
@@ -129,19 +117,15 @@ def test_a_sweep_trains_each_agent_with_its_own_exploration_and_goes_on(
     assert "protocol.capacity" in (refused / "train.log").read_text()
 
 
-def test_the_default_dtype_of_the_process_changes_nothing(tmp_path):
-    results = []
-    for dtype in ("float32", "float64"):
-        torch.set_default_dtype(getattr(torch, dtype))
-        try:
-            results.append(
-                run(composed("agent=bbqn", *TINY, "protocol.rounds=1"), tmp_path / dtype)
-            )
-            loaded = load_run(tmp_path / dtype)
-            loaded.env.rollout(3, loaded.policy)
-        finally:
-            torch.set_default_dtype(torch.float32)
-    assert results[0].per_replica == results[1].per_replica
+def test_the_default_dtype_of_the_process_changes_nothing(commanded, tmp_path):
+    torch.set_default_dtype(torch.float64)
+    try:
+        result = run(load_config(commanded / "config.yaml"), tmp_path)
+        loaded = load_run(tmp_path)
+        loaded.env.rollout(3, loaded.policy)
+    finally:
+        torch.set_default_dtype(torch.float32)
+    assert result.per_replica == read_result(commanded).per_replica
 
 
 def test_a_mean_q_that_no_return_can_have_is_warned_of_and_in_the_result(tmp_path):

@@ -17,7 +17,6 @@ TEXT = "[{share:.25,tells:[1,2],insists:1},{share:.75,changes_mind:.5}]"
 @pytest.mark.parametrize(
     "command",
     [
-        "",
         "agent=dqn env=domain_ext seed=3",
         "protocol=quick spike=none agent=bootstrap intrinsic=vime agent.lr=1e-5",
         f"env.users={TEXT}",

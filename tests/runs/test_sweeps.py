@@ -18,11 +18,7 @@ def make_run(folder, overrides, rate=None, rounds=5):
         (folder / "curve.png").touch()
 
 
-def cells(line):
-    return [cell.strip() for cell in line.strip("|").split("|")]
-
-
-UNFINISHED = ["–", "not finished: train.log in it says why"]
+UNFINISHED = "– | not finished: train.log in it says why |"
 
 
 def test_every_run_is_listed_with_what_sets_it_apart(tmp_path):
@@ -40,20 +36,20 @@ def test_every_run_is_listed_with_what_sets_it_apart(tmp_path):
     assert not is_complete
 
     assert title == f"1 of 5 runs in {tmp_path} are finished"
-    assert cells(head) == ["run", "overrides", "final success", "state"]
-    assert [cells(row) for row in rows] == [
-        ["0_dqn", "agent=dqn seed=0", *UNFINISHED],
-        ["2_bbqn", "agent=bbqn seed=1", *UNFINISHED],
-        ["3_refused", "agent=dqn seed=3", *UNFINISHED],
-        ["4_extended", "agent=dqn seed=4", *UNFINISHED],
-        ["10_dqn", "agent=dqn seed=1", "0.700", "finished"],
+    assert head == "| run | overrides | final success | state |"
+    assert rows == [
+        f"| 0_dqn | agent=dqn seed=0 | {UNFINISHED}",
+        f"| 2_bbqn | agent=bbqn seed=1 | {UNFINISHED}",
+        f"| 3_refused | agent=dqn seed=3 | {UNFINISHED}",
+        f"| 4_extended | agent=dqn seed=4 | {UNFINISHED}",
+        "| 10_dqn | agent=dqn seed=1 | 0.700 | finished |",
     ]
 
 
 def test_a_single_run_shows_all_its_overrides(tmp_path):
     make_run(tmp_path / "0", ["agent=dqn"], 0.5)
     table, is_complete = table_of_runs(tmp_path)
-    assert cells(table.splitlines()[-1]) == ["0", "agent=dqn", "0.500", "finished"]
+    assert table.splitlines()[-1] == "| 0 | agent=dqn | 0.500 | finished |"
     assert is_complete
 
 
