@@ -17,13 +17,11 @@ class Ended:
 
     Attributes:
         code: its exit code; negative: the signal that killed it.
-        out: what it printed.
         err: what it printed as an error.
         seconds: of processor time that it took.
     """
 
     code: int
-    out: str
     err: str
     seconds: float
 
@@ -40,9 +38,9 @@ class Ended:
 class Command:
     """A process that runs a command."""
 
-    def __init__(self, pid, files):
+    def __init__(self, pid, errors):
         self.pid = pid
-        self._files = files
+        self._errors = errors
 
     def send(self, number):
         """Sends the process a signal, which has no effect after its end."""
@@ -51,8 +49,8 @@ class Command:
     def end(self):
         """Waits for its end."""
         _, status, used = os.wait4(self.pid, 0)
-        written = (path.read_text() for path in self._files)
-        return Ended(os.waitstatus_to_exitcode(status), *written, used.ru_utime + used.ru_stime)
+        code, seconds = os.waitstatus_to_exitcode(status), used.ru_utime + used.ru_stime
+        return Ended(code, self._errors.read_text(), seconds)
 
     def until(self, is_so):
         """Waits for a condition, which must become true before the process ends."""
@@ -88,11 +86,10 @@ class Commands:
     def start(self, program, *arguments):
         """Starts ``bbq <program> <arguments>``."""
         self._count += 1
-        out, err = (self.folder / f"{kind}-{self._count}" for kind in ("out", "err"))
-        with out.open("w") as first, err.open("w") as second:
-            given = (program, *arguments)
-            pid = forked.start(console.main, given, self.folder, first, second)
-        return Command(pid, (out, err))
+        errors = self.folder / f"err-{self._count}"
+        with open(os.devnull, "w") as out, errors.open("w") as err:
+            pid = forked.start(console.main, (program, *arguments), self.folder, out, err)
+        return Command(pid, errors)
 
     def run(self, program, *arguments, code=0):
         """Runs a command to its end, which must be the exit code."""

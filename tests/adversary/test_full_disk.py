@@ -13,8 +13,6 @@ from .folders import assert_same
 
 pytestmark = pytest.mark.slow
 
-NAME = "bbqn"
-
 
 @pytest.fixture(scope="module")
 def disk(tmp_path_factory):
@@ -45,7 +43,7 @@ def command(*arguments):
 def test_a_full_disk_is_a_sentence_and_the_run_goes_on(
     disk, references, tmp_path, rng, record_property, attempt
 ):
-    reference = references(NAME)
+    reference = references("bbqn")
     (tmp_path / "disk").mkdir()
     used = sum(path.stat().st_size for path in reference.folder.rglob("*") if path.is_file())
     size = int(rng.uniform(0.05, 1.3) * used / 1024)
