@@ -121,7 +121,6 @@ WRONG = {
     "row value": ("kb", {0: {"city": ["x"]}}, ["row 0", "city"]),
     "values a text": ("values", {"city": "x"}, ["city", "'x'"]),
     "value no text": ("values", {"city": ["seattle", 3]}, ["city", "3"]),
-    "no values": ("values", {}, ["{}"]),
 }
 
 
