@@ -40,6 +40,11 @@ def test_the_median_is_when_half_of_the_seeds_had_reached_it(dialogues, median, 
     assert found.csv_columns() == {"": median, "_reached": found.reached}
 
 
+def test_a_group_reaches_a_level_in_dialogues(add):
+    (group,) = read_groups([add([0.8, 1.0, 1.0], rounds=6)])
+    assert group.reach(0.5).dialogues == (INF, 250, 250)
+
+
 def test_seeds_evaluated_in_different_rounds_have_those_in_common(add):
     runs = [add([0.8], rounds=6, eval_every=2), add([0.9], rounds=6, eval_every=3, seed=1)]
     (group,) = read_groups(runs)
