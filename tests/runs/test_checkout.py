@@ -4,7 +4,6 @@ import subprocess
 
 import pytest
 
-from bbq_torchrl.evaluation.run_result import read_result
 from bbq_torchrl.runs.build import Checkout, checkout
 
 
@@ -55,7 +54,3 @@ def test_the_environment_changes_nothing_unless_git_is_missing(package, monkeypa
     assert checkout(package) == found
     monkeypatch.setenv("PATH", "")
     assert checkout(package) == Checkout(None, None)
-
-
-def test_a_result_has_the_commit(finished):
-    assert read_result(finished).commit == checkout().commit

@@ -15,7 +15,7 @@ from tiny import TINY, composed
 from bbq_torchrl import load_run
 from bbq_torchrl.cli import evaluate
 from bbq_torchrl.evaluation.run_result import read_result
-from bbq_torchrl.runs.build import divergence
+from bbq_torchrl.runs.build import checkout, divergence
 from bbq_torchrl.runs.compose import usage
 from bbq_torchrl.runs.folders import load_config
 from bbq_torchrl.runs.train import main as train_main, run
@@ -37,6 +37,7 @@ def test_the_result_says_what_ran_and_how_well(commanded):
     expected |= {"seed": 7, "rounds": 3, "replicas": 3, "dialogues": 90}
     assert {key: result[key] for key in expected} == expected
     assert [item["dialogues"] for item in result["per_replica"]] == [30, 30, 30]
+    assert result["commit"] == checkout().commit
     assert {"torch", "torchrl", "tensordict", "bbq-torchrl"} <= result["versions"].keys()
     begun, ended = (
         (commanded / file).stat().st_mtime for file in (".hydra/overrides.yaml", "result.json")
