@@ -101,6 +101,11 @@ def test_each_replica_keeps_what_is_protected_and_the_newest_of_the_rest(acts):
             kept, newest = [kept[r] + newest[r] for r in (0, 1)], [[], []]
 
         assert replay.protected == tuple(map(len, kept))
+        for batch in replay.epoch(3):
+            for own, seen in zip(kept, batch.transitions.unbind(0), strict=True):
+                is_kept = torch.isin(seen["observation"][:, 0], torch.tensor(own))
+                marks = seen.get("protected", torch.zeros(3).bool())
+                assert torch.equal(marks, is_kept & seen["valid"])
         for r in (0, 1):
             numbers = stored(replay, r)
             assert numbers[: len(kept[r])] == kept[r]

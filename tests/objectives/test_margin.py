@@ -4,8 +4,6 @@ import pytest
 import torch
 from q_transitions import heads_loss, plain_loss, result, transitions
 
-from bbq_torchrl.data import ReplicaReplay
-
 MARGIN, FACTOR = 2.0, 7.0
 
 
@@ -62,18 +60,3 @@ def test_every_loss_learns_the_margin_and_only_from_marked_rows(make):
     assert result(loss, td)["loss"] > before["loss"]
     loss.set_keys(demonstrated="mine")
     assert torch.equal(result(loss, td)["loss"], before["loss"])
-
-
-def test_a_replay_marks_its_protected_rows_in_whatever_order_they_come():
-    replay = ReplicaReplay(8, replicas=2, keys=["action"])
-
-    def rows(*numbers):
-        return transitions(batch=(len(numbers),)).set("action", torch.tensor(numbers))
-
-    replay.extend([rows(0, 1, 2), rows(0, 1)])
-    assert replay.epoch(4)[0].transitions.get("protected", None) is None
-    replay.protect()
-    replay.extend([rows(7, 7, 7, 7, 7, 7, 7), rows(7)])
-    for batch in replay.epoch(3):
-        seen = batch.transitions
-        assert torch.equal(seen["protected"], (seen["action"] < 7) & seen["valid"])
