@@ -55,6 +55,8 @@ def test_it_is_a_loop_over_heads(replicas, batch, share, trunk_layers, double_dq
     td = td.clone()
     if share < 1:  # a row that no head learns from may hold anything
         td["observation"][~td["bootstrap_mask"].any(-1)] = torch.nan
+        loss.set_keys(bootstrap_mask=("my", "mask"))
+        td.rename_key_("bootstrap_mask", ("my", "mask"))
     else:
         del td["bootstrap_mask"]
     out = loss(td)
@@ -101,13 +103,3 @@ def test_every_head_has_a_frozen_copy_with_the_same_prior():
     for name, prior in priors.items():
         for target in (False, True):
             assert torch.equal(flat(loss, name, target=target), prior)
-
-
-def test_the_mask_may_have_another_name():
-    loss, _ = heads_loss()
-    td = with_mask(transitions())
-    expected = loss(td)["loss"]
-    td["my", "mask"] = td.pop("bootstrap_mask")
-    assert not torch.equal(loss(td)["loss"], expected)
-    loss.set_keys(bootstrap_mask=("my", "mask"))
-    assert torch.equal(loss(td)["loss"], expected)
