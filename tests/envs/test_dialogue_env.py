@@ -3,14 +3,13 @@
 import copy
 import pickle
 from dataclasses import replace
-from functools import partial
 
 import pytest
 import torch
 from torchrl.envs import check_env_specs
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule, scripted_policy
+from bbq_torchrl.envs import DialogueEnv, ExtensionSchedule
 from bbq_torchrl.simulator import ErrorModel, Simulator
 from bbq_torchrl.simulator.measured_errors import load_errors
 from benchmarks.parts.host_waits import NeverWaits
@@ -62,20 +61,6 @@ def test_a_partial_reset_starts_those_dialogues_only(restaurant, batch_size):
     assert (env.dialogues[~mask] == state[~mask]).all()
     assert (env.dialogues["turn"][mask] == 0).all()
     assert (env.dialogues["agent_act"][mask] == -1).all()
-
-
-def test_the_seed_decides_everything_but_the_policy(restaurant):
-    def rollout(env):
-        torch.manual_seed(0)
-        return env.rollout(10, scripted_policy("random", env), break_when_any_done=False)
-
-    make = partial(DialogueEnv, restaurant, batch_size=(8,), intent_error_prob=0.2)
-    one = rollout(make(seed=5))
-    assert (one == rollout(make(seed=5))).all()
-    env = make(seed=6)
-    assert not torch.equal(one["observation"], rollout(env)["observation"])
-    assert env.set_seed(5) != 5
-    assert (one == rollout(env)).all()
 
 
 def make(restaurant, seed):

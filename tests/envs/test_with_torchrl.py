@@ -6,20 +6,9 @@ import pytest
 import torch
 from tensordict import TensorDict
 from torchrl.collectors import Collector
-from torchrl.envs import (
-    Compose,
-    InitTracker,
-    SerialEnv,
-    StepCounter,
-    TransformedEnv,
-)
+from torchrl.envs import Compose, InitTracker, SerialEnv, StepCounter, TransformedEnv
 
-from bbq_torchrl.envs import (
-    DialogueEnv,
-    EnvState,
-    UniformPolicy,
-    scripted_policy,
-)
+from bbq_torchrl.envs import DialogueEnv, EnvState, UniformPolicy, scripted_policy
 
 
 def make(movie, batch_size, seed=0):
