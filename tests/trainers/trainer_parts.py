@@ -1,16 +1,15 @@
-"""A batched environment and a stacked Q-network of a few lines: the trainer needs no dialogue."""
+"""A batched environment of a few lines, and a trainer of tiny parts: it needs no dialogue."""
 
 import torch
 from tensordict import TensorDict
 from tensordict.nn import TensorDictSequential
-from torch import nn
 from torchrl.data import Binary, Categorical, Composite, Unbounded
 from torchrl.envs import EnvBase
 from torchrl.modules import EGreedyModule
 from torchrl.objectives import HardUpdate
 
 from bbq_torchrl.data import ReplicaReplay
-from bbq_torchrl.networks import q_actor
+from bbq_torchrl.networks import FlatMLP, q_actor
 from bbq_torchrl.objectives import DropoutDQNLoss
 from bbq_torchrl.trainers import Learner, ReplicaAdam, RoundTrainer, Spike
 
@@ -66,40 +65,6 @@ class GuessEnv(EnvBase):
         return self._observe().update(values)
 
 
-class ReplicaLinearQ(nn.Module):
-    """Q-values of R linear networks, and a bit of noise that comes from the global generator."""
-
-    def __init__(self, replicas):
-        super().__init__()
-        self.replicas = torch.Size([replicas])
-        generator = torch.Generator().manual_seed(1)
-        start = torch.randn(replicas, FEATURES, ACTIONS, generator=generator)
-        self.weight = nn.Parameter(0.1 * start)
-
-    def forward(self, observation):
-        noise = 1 + 0.1 * torch.randn_like(self.weight)
-        return observation @ (self.weight * noise)
-
-
-class CountingEGreedy(EGreedyModule):
-    """Counts the rounds in which it is resampled."""
-
-    resampled = 0
-
-    def resample(self):
-        self.resampled += 1
-
-
-class CountingLoss(DropoutDQNLoss):
-    """A loss that records the numbers of data it gets; the targets of its network are random."""
-
-    has_fixed_targets = False
-    num_data = ()
-
-    def set_num_data(self, rows):
-        self.num_data += (rows.tolist(),)
-
-
 def random_policy(tensordict):
     """Guesses at once half of the time: the spike policy of these tests."""
     action = (torch.rand(tensordict.batch_size) < 0.5).long()
@@ -107,22 +72,15 @@ def random_policy(tensordict):
 
 
 def make_trainer(
-    folder,
-    *,
-    replicas=3,
-    places=8,
-    capacity=120,
-    env=None,
-    optimizer=None,
-    last=(),
-    **given,
+    folder, *, replicas=3, places=8, capacity=120, env=None, optimizer=None, last=(), **given
 ):
     """Returns a trainer of tiny parts that learns for a few rounds."""
     env = GuessEnv(replicas, places) if env is None else env
     spec = env.action_spec_unbatched
-    actor = q_actor(ReplicaLinearQ(replicas), spec)
-    explore = CountingEGreedy(spec, 0.8, 0.0, annealing_num_steps=4, action_mask_key="action_mask")
-    loss = CountingLoss(actor, gamma=0.9)
+    torch.manual_seed(1)  # trainers that are compared start from the same weights
+    actor = q_actor(FlatMLP(FEATURES, ACTIONS, (16,), replicas=replicas, dropout=0.1), spec)
+    explore = EGreedyModule(spec, 0.8, 0.0, annealing_num_steps=4, action_mask_key="action_mask")
+    loss = DropoutDQNLoss(actor, gamma=0.9)
     of_learner = {"batch_size": 16, "freezes": 2, "epochs": 2, "lr_share": None}
     of_learner = {name: given.pop(name, value) for name, value in of_learner.items()}
     learner = Learner(
