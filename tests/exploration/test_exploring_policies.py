@@ -122,7 +122,7 @@ NET = PLAIN[0].module
         ("VoteModule", lambda: MajorityVote(PLAIN)),
         ("actor", lambda: ThompsonSampling(NET)),
         ("per", lambda: ThompsonSampling(BAYES, per="game")),
-        ("is_init", lambda: ThompsonSampling(BAYES, per="episode")(bare())),
+        ("is_init", lambda: ThompsonSampling(BAYES, per="episode")(TensorDict(batch_size=[3]))),
         ("mode", lambda: EvaluationPolicy(BAYES, mode="median")),
         ("num_draws", lambda: EvaluationPolicy(BAYES, num_draws=0)),
         ("action_key", lambda: q_actor(NET, SPEC, action_key="act")),
@@ -132,10 +132,6 @@ NET = PLAIN[0].module
 def test_what_a_policy_needs_is_named(key, wrong):
     with pytest.raises(ValueError, match=key):
         wrong()
-
-
-def bare():
-    return observations(3).exclude("is_init")
 
 
 REPLICAS = [(), (3,)]

@@ -37,17 +37,6 @@ def test_each_part_of_a_batch_has_a_linear_schedule_whose_place_is_in_the_state(
     torch.testing.assert_close(value(with_one_number), torch.full((3, 1), 0.1))
 
 
-def test_boltzmann_draws_from_the_softmax_over_legal_actions():
-    n, explore = 40_000, Boltzmann(2.0, 1.0, 10)
-    q = torch.tensor([1.0, 3.0, 50.0, -1.0])
-    mask = torch.tensor([True, True, False, True])
-    td = TensorDict({"action_value": q.expand(n, 4), "action_mask": mask.expand(n, 4)}, [n])
-    share = explore(td)["action"].bincount(minlength=4) / n
-    expected = torch.softmax(q[mask] / 2, 0)
-    assert share[2] == 0
-    assert (share[mask] - expected).abs().max() < 5 * (0.25 / n) ** 0.5
-
-
 @pytest.mark.parametrize("scale", [0.0, 1e-30, 1e6, 1e30])
 def test_boltzmann_survives_any_scale_of_q(scale):
     mask = torch.tensor([True, True, False, True]).expand(500, 4)
