@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 import torch
 from q_transitions import off_prior
-from torch.func import functional_call
 
 from bbq_torchrl.bayes import BayesMLP, GaussianPosterior
 
@@ -19,20 +18,6 @@ def test_its_modes_are_the_networks_of_the_means_and_of_one_draw(replicas):
     weights = net.draw_weights()
     torch.manual_seed(0)
     assert torch.equal(net(x, "draw"), net(x, weights=weights))
-
-
-@pytest.mark.parametrize("mode", ["draw", "local", "mean"])
-@pytest.mark.parametrize("replicas", [(), (2,)])
-def test_gradcheck_in_every_mode(mode, replicas):
-    net = off_prior(BayesMLP(2, 2, (3,), replicas=replicas, dtype=torch.double))
-    x = torch.randn(*replicas, 2, 2, dtype=torch.double, requires_grad=True)
-
-    def call(x, mu, rho):
-        torch.manual_seed(0)
-        parameters = {"posterior.mu": mu, "posterior.rho": rho}
-        return functional_call(net, parameters, (x, mode))
-
-    assert torch.autograd.gradcheck(call, (x, net.posterior.mu, net.posterior.rho))
 
 
 @pytest.mark.parametrize("rho", [-60.0, 0.0, 20.0])

@@ -11,6 +11,7 @@ from torchrl.data import Categorical, OneHot
 
 from bbq_torchrl import networks
 from bbq_torchrl.bayes import BayesMLP
+from bbq_torchrl.networks.gaussian_process import StateFeatures
 
 HEADS = partial(networks.BootstrapMLP, heads=3, trunk_layers=1, prior_scale=0.5)
 SEPARATE = partial(networks.BootstrapMLP, heads=3, trunk_layers=0)
@@ -70,6 +71,10 @@ MANY = Categorical(4, shape=(3,))
         ("trunk_layers", lambda: networks.BootstrapMLP(3, 2, trunk_layers=3)),
         ("prior_scale", lambda: networks.BootstrapMLP(3, 2, prior_scale=torch.nan)),
         ("std_init", lambda: networks.NoisyMLP(4, 3, std_init=0.0)),
+        ("inducing", lambda: StateFeatures(3, 0)),
+        ("kernel", lambda: StateFeatures(3, 2, kernel="linear")),
+        ("lengthscale", lambda: StateFeatures(3, 2, lengthscale=0)),
+        ("prior_std", lambda: networks.GaussianProcess(StateFeatures(3, 2), 2, prior_std=0)),
         ("spec", lambda: networks.q_actor(nn.Linear(2, 4), MANY)),
         ("spec", lambda: networks.bootstrap_actor(nn.Linear(2, 4), MANY)),
     ],

@@ -101,13 +101,3 @@ def test_draws_for_each_row_have_the_moments_of_weight_draws(replicas):
     for values in (local, drawn):
         assert ((values.mean(-2) - mean).abs() < 5 * (variance / count).sqrt()).all()
         assert ((values.var(-2) / variance - 1).abs() < 5 * math.sqrt(2 / count)).all()
-
-
-@pytest.mark.parametrize(
-    "settings", [{"inducing": 0}, {"kernel": "linear"}, {"lengthscale": 0}, {"prior_std": 0}]
-)
-def test_invalid_arguments_are_refused(settings):
-    of_network = {key: settings[key] for key in settings if key == "prior_std"}
-    of_features = {"inducing": 2, **settings} if not of_network else {"inducing": 2}
-    with pytest.raises(ValueError, match=next(iter(settings))):
-        GaussianProcess(StateFeatures(3, **of_features), 2, **of_network)

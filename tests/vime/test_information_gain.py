@@ -40,7 +40,7 @@ def slopes(mu, rho, noise, x, target, layout):
 
 
 def divergence(mu, rho, at_mu, at_rho):
-    """The KL of one weight's posterior from that at another place, less 1/2."""
+    """The KL of one weight's posterior from that at another place, plus 1/2."""
     sigma, at_sigma = F.softplus(rho), F.softplus(at_rho)
     return (at_sigma / sigma).log() + (sigma**2 + (mu - at_mu) ** 2) / (2 * at_sigma**2)
 
