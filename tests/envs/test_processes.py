@@ -1,9 +1,9 @@
 """Environments in several processes: without a seed they play different dialogues."""
 
-import multiprocessing
 import pickle
 from functools import partial
 
+import forked
 import pytest
 import torch
 from torchrl.envs import EnvCreator, ParallelEnv, SerialEnv, TransformedEnv
@@ -11,30 +11,19 @@ from torchrl.envs import EnvCreator, ParallelEnv, SerialEnv, TransformedEnv
 from bbq_torchrl.data import BootstrapMask
 from bbq_torchrl.envs import DialogueEnv, EnvState
 
-FORK = pytest.mark.skipif(
-    "fork" not in multiprocessing.get_all_start_methods(), reason="processes cannot be forked here"
-)
-pytestmark = [FORK, pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")]
+pytestmark = pytest.mark.filterwarnings("ignore:.*use of fork:DeprecationWarning")
 
 
 def goals(env):
     return env.reset()["goal_id"].flatten().tolist()
 
 
-def in_forked(count, call):
-    """Returns the results of a function in several forked processes."""
-    context = multiprocessing.get_context("fork")
-    queues = [context.SimpleQueue() for _ in range(count)]
-    workers = [context.Process(target=lambda q=queue: q.put(call())) for queue in queues]
-    for worker in workers:
-        worker.start()
-    found = [queue.get() for queue in queues]
-    for worker in workers:
-        worker.join()
-    return found
+def in_forked(folder, call):
+    """What a function returns in each of two forked processes, as text."""
+    return [forked.call(lambda: print(call()), cwd=folder)[0].strip() for _ in range(2)]
 
 
-def test_environments_without_a_seed_play_different_dialogues(restaurant):
+def test_environments_without_a_seed_play_different_dialogues(restaurant, tmp_path):
     made = partial(DialogueEnv, restaurant, batch_size=(8,))
     env = made()
     env.reset()
@@ -45,11 +34,11 @@ def test_environments_without_a_seed_play_different_dialogues(restaurant):
         lambda: goals(pickle.loads(copied)),
         lambda: BootstrapMask(4).generator_state.sum().item(),
     ):
-        one, other = in_forked(2, call)
+        one, other = in_forked(tmp_path, call)
         assert one != other
 
 
-def test_what_was_seeded_plays_the_same(restaurant):
+def test_what_was_seeded_plays_the_same(restaurant, tmp_path):
     def by_torchs_seed():
         torch.manual_seed(123)
         return goals(DialogueEnv(restaurant, batch_size=(8,)))
@@ -58,7 +47,7 @@ def test_what_was_seeded_plays_the_same(restaurant):
     loaded = DialogueEnv(restaurant, batch_size=(8,))
     loaded.load_state_dict(seeded.state_dict())
     for call in (by_torchs_seed, lambda: goals(seeded), lambda: goals(loaded)):
-        assert in_forked(2, call) == [call()] * 2
+        assert in_forked(tmp_path, call) == [str(call())] * 2
 
 
 @pytest.mark.parametrize(

@@ -29,10 +29,7 @@ def test_loggers_get_what_the_file_gets_but_for_what_a_round_has_not(tmp_path):
     second = {"loss/replica_0": 0.25, "buffer/replica_0": 5.0}
     second |= {"loss/replica_1": 0.25, "buffer/replica_1": 6.0}
     made = option.make.return_value
-    assert option.log_round.mock_calls == [
-        call(made, first, round=0),
-        call(made, second, round=1),
-    ]
+    assert option.log_round.mock_calls == [call(made, first, round=0), call(made, second, round=1)]
     table = "round,replica,loss,buffer\n0,0,0.5,3\n0,1,,4\n1,0,0.25,5\n1,1,0.25,6\n"
     assert metrics.path.read_text() == table
 

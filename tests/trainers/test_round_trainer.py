@@ -13,7 +13,6 @@ from torchrl.envs import ExcludeTransform, TransformedEnv
 from torchrl.modules import EGreedyModule
 from trainer_parts import GuessEnv, make_trainer
 
-from bbq_torchrl.exploration import BatchedEGreedy
 from bbq_torchrl.trainers import Learner, TrainingError
 from bbq_torchrl.utils.seeds import derive_seed
 from bbq_torchrl.vime import vime_losses
@@ -61,7 +60,8 @@ def test_metrics_are_what_was_played_and_learned(tmp_path):
 def test_rounds_follow_the_protocol_and_move_schedules_and_environment(tmp_path, monkeypatch):
     trainer = make_trainer(tmp_path, rounds=2, replicas=1)
     learner, events = trainer.learner, MagicMock()
-    monkeypatch.setattr(EGreedyModule, "resample", events.resample, raising=False)
+    for name in ("resample", "see_success"):
+        monkeypatch.setattr(EGreedyModule, name, getattr(events, name), raising=False)
     for owner, name in ((learner.target_updater, "step"), (learner.loss, "forward")):
         getattr(events, name).side_effect = getattr(owner, name)
         monkeypatch.setattr(owner, name, getattr(events, name))
@@ -70,27 +70,13 @@ def test_rounds_follow_the_protocol_and_move_schedules_and_environment(tmp_path,
 
     expected = []
     for row in rows:
-        expected += ["resample", *2 * ["step", *["forward"] * (int(row["updates"]) // 2)]]
+        learning = ["step", *["forward"] * (int(row["updates"]) // 2)]
+        expected += ["resample", "see_success", *2 * learning]
     assert [name for name, *_ in events.mock_calls] == expected
+    seen = [float(call.args[0]) for call in events.see_success.mock_calls]
+    assert seen == [row["success_rate"] for row in rows]
     assert [row["epsilon"] for row in rows] == pytest.approx([0.8, 0.6])
     assert trainer.env.rounds_seen == [0, 0, 1]  # the spike plays in the state of round 0
-
-
-def test_a_schedule_falls_with_the_success_of_its_replica(tmp_path):
-    explore = BatchedEGreedy(
-        GuessEnv(1, 1).action_spec_unbatched,
-        torch.ones(3, 1),
-        0.0,
-        action_mask_key="action_mask",
-        until_success=1.0,
-    )
-    trainer = make_trainer(tmp_path, last=[explore], places=1, rounds=5, replicas=3)
-    trainer.round_metrics["by success"] = lambda: explore.eps.squeeze(-1)
-    mean = dict.fromkeys(range(3), 0.0)
-    for row in trainer.train():
-        assert row["by success"] == pytest.approx(1 - mean[row["replica"]], abs=1e-6)
-        mean[row["replica"]] += 0.2 * (row["success_rate"] - mean[row["replica"]])
-    assert len({*mean.values()}) > 1
 
 
 def test_every_phase_and_epoch_of_every_replica_has_a_separate_seed(tmp_path, monkeypatch):

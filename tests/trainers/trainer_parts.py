@@ -71,9 +71,7 @@ def random_policy(tensordict):
     return tensordict.set("action", action)
 
 
-def make_trainer(
-    folder, *, replicas=3, places=8, capacity=120, env=None, optimizer=None, last=(), **given
-):
+def make_trainer(folder, *, replicas=3, places=8, capacity=120, env=None, optimizer=None, **given):
     """Returns a trainer of tiny parts that learns for a few rounds."""
     env = GuessEnv(replicas, places) if env is None else env
     spec = env.action_spec_unbatched
@@ -94,7 +92,7 @@ def make_trainer(
     own |= {"spike": Spike(random_policy, 5)}
     return RoundTrainer(
         env,
-        TensorDictSequential(actor, explore, *last),
+        TensorDictSequential(actor, explore),
         learner,
         folder,
         **{**own, **given},
