@@ -55,17 +55,6 @@ def noise_of(net, draws, pool):
         return torch.stack([net.draw_weights() for _ in range(draws)])
 
 
-@pytest.mark.parametrize("replicas", [(), (2, 2)], ids=str)
-def test_a_draw_of_a_pool_is_of_standard_normal_numbers(replicas):
-    noise = noise_of(BayesMLP(60, 40, (50,), replicas=replicas), 1, NoisePool())
-
-    assert noise.shape == (1, *replicas, 61 * 50 + 51 * 40)
-    assert stats.kstest(noise.flatten().double().numpy(), "norm").pvalue > RARE
-    rows = noise.reshape(-1, noise.shape[-1]).double()
-    neighbors = (rows[:, 1:] * rows[:, :-1]).sum() / rows[:, 1:].numel() ** 0.5
-    assert abs(float(neighbors)) < 5
-
-
 def test_replicas_of_a_network_share_no_number_and_neither_do_layers():
     net, pool = BayesMLP(30, 20, (), replicas=(4,), dtype=torch.double), NoisePool()
     replicas = noise_of(net, 20, pool).unbind(1)
