@@ -81,11 +81,6 @@ def test_optional_methods_are_found_by_name_through_wrappers_but_called_once():
     assert modules_with(policy, Annealed) == [greedy]
 
 
-def states(trainer):
-    """The observations in each replica's buffer."""
-    return [set(map(tuple, b[:]["observation"].tolist())) for b in trainer.replay.buffers]
-
-
 def test_a_replica_without_a_success_is_reported(tmp_path, caplog):
     def second_guesses(tensordict):
         tensordict = random_policy(tensordict)
@@ -99,20 +94,17 @@ def test_a_replica_without_a_success_is_reported(tmp_path, caplog):
 
 
 @pytest.mark.parametrize("protect", [True, False])
-def test_it_is_protected_by_default_and_evicted_otherwise(tmp_path, protect):
+def test_it_is_protected_unless_that_is_not_wanted(tmp_path, protect):
     spike = Spike(random_policy, 5) if protect else Spike(random_policy, 5, protect=False)
-    trainer = make_trainer(tmp_path, rounds=6, capacity=40, spike=spike)
+    trainer = make_trainer(tmp_path, spike=spike)
     trainer.begin()
-    spiked = states(trainer)
-    assert len(set.union(*spiked)) == sum(map(len, spiked))  # replicas have dialogues of their own
-    for buffer in trainer.replay.buffers:
-        assert int(buffer[:]["next", "done"].sum()) == 5
-    while trainer.rounds_done < 6:
-        trainer.train_round()
 
-    assert trainer.replay.lengths == (40, 40, 40)
-    for before, after in zip(spiked, states(trainer), strict=True):
-        assert before & after == (before if protect else set())
+    replay = trainer.replay
+    assert replay.protected == (replay.lengths if protect else (0, 0, 0))
+    dialogues = [buffer[:] for buffer in replay.buffers]
+    assert [int(own["next", "done"].sum()) for own in dialogues] == [5, 5, 5]
+    states = torch.cat([own["observation"] for own in dialogues])
+    assert len(states.unique(dim=0)) == len(states)  # replicas have dialogues of their own
 
 
 def test_one_that_fills_the_capacity_is_refused(tmp_path):
