@@ -78,18 +78,14 @@ def played(domain, channel, turns=12):
         yield env.dialogues
 
 
-def assert_heard_as_meant(state):
-    going = ~state["done"]
-    assert torch.equal(state["heard_act"], state["user_act"])
-    assert torch.equal(state["user_informs"], state["meant_informs"])
-    assert torch.equal(state["heard_requests"][going], state["pending"][going])
-
-
 @pytest.mark.parametrize("name", ["movie", "restaurant"])
 def test_who_is_understood_by_the_letter_is_seen_as_at_the_level_of_acts(name, request):
     domain = request.getfixturevalue(name)
     for state in played(domain, channel_of(domain)[0]):
-        assert_heard_as_meant(state)
+        going = ~state["done"]
+        assert torch.equal(state["heard_act"], state["user_act"])
+        assert torch.equal(state["user_informs"], state["meant_informs"])
+        assert torch.equal(state["heard_requests"][going], state["pending"][going])
     assert int(state["turn"].max()) > 10
 
 
