@@ -3,10 +3,21 @@
 import torch
 import torch.nn.functional as F
 from tensordict import TensorDict
+from tensordict.nn import TensorDictSequential
 from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
+from torchrl.modules import EGreedyModule
 
 from bbq_torchrl.bayes import BayesMLP
+from bbq_torchrl.exploration import (
+    Boltzmann,
+    BootstrapSampling,
+    EvaluationPolicy,
+    Greedy,
+    MajorityVote,
+    NoisySampling,
+    ThompsonSampling,
+)
 from bbq_torchrl.networks import BootstrapMLP, NoisyMLP, bootstrap_actor, q_actor
 
 FEATURES, ACTIONS = 5, 6
@@ -29,6 +40,29 @@ def noisy_actor(replicas=(), spec=SPEC):
 def heads_actor(replicas=(), spec=SPEC, heads=7):
     net = BootstrapMLP(FEATURES, ACTIONS, (8,), heads=heads, replicas=replicas)
     return bootstrap_actor(net, spec)
+
+
+def policies_of(actor, noisy, heads, spec):
+    """Every policy by name, on a Bayesian actor, a noisy one, and one with heads."""
+    epsilon = EGreedyModule(spec, 0.5, 0.5, action_mask_key="action_mask")
+    made = {
+        "greedy": Greedy(actor),
+        "epsilon": TensorDictSequential(Greedy(actor), epsilon),
+        "thompson epsilon": TensorDictSequential(ThompsonSampling(actor), epsilon),
+        "boltzmann": TensorDictSequential(Greedy(actor), Boltzmann(5.0, 1.0, 10)),
+        "noisy epsilon": TensorDictSequential(NoisySampling(noisy), epsilon),
+        "vote": MajorityVote(heads),
+        "vote epsilon": TensorDictSequential(MajorityVote(heads), epsilon),
+    }
+    for mode in ("mean", "average", "draw", "thompson"):
+        made[f"evaluation {mode}"] = EvaluationPolicy(actor, mode=mode)
+    for per in ("step", "episode", "round"):
+        made[f"heads {per}"] = BootstrapSampling(heads, per=per)
+        for shared in (False, True):
+            made[f"thompson {per} {shared}"] = ThompsonSampling(actor, per=per, shared=shared)
+    for shared in (False, True):
+        made[f"noisy {shared}"] = NoisySampling(noisy, shared=shared)
+    return made
 
 
 def observations(*batch, same=True):

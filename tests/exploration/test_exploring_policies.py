@@ -13,6 +13,7 @@ from q_actor import (
     heads_actor,
     noisy_actor,
     observations,
+    policies_of,
     values,
 )
 from tensordict import TensorDict
@@ -20,10 +21,8 @@ from tensordict.nn import TensorDictSequential
 from torch import nn
 from torchrl.data import Binary, Categorical, OneHot
 from torchrl.envs.utils import ExplorationType, set_exploration_type
-from torchrl.modules import EGreedyModule
 
 from bbq_torchrl.exploration import (
-    Boltzmann,
     BootstrapSampling,
     EvaluationPolicy,
     Greedy,
@@ -39,26 +38,7 @@ RANDOM, DETERMINISTIC = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
 
 def policies(replicas, spec=SPEC):
     makers = (bayes_actor, noisy_actor, heads_actor)
-    actor, noisy, heads = (make(replicas, spec) for make in makers)
-    epsilon = EGreedyModule(spec, 0.5, 0.5, action_mask_key="action_mask")
-    made = {
-        "greedy": Greedy(actor),
-        "epsilon": TensorDictSequential(Greedy(actor), epsilon),
-        "thompson epsilon": TensorDictSequential(ThompsonSampling(actor), epsilon),
-        "boltzmann": TensorDictSequential(Greedy(actor), Boltzmann(5.0, 1.0, 10)),
-        "noisy epsilon": TensorDictSequential(NoisySampling(noisy), epsilon),
-        "vote": MajorityVote(heads),
-        "vote epsilon": TensorDictSequential(MajorityVote(heads), epsilon),
-    }
-    for mode in ("mean", "average", "draw", "thompson"):
-        made[f"evaluation {mode}"] = EvaluationPolicy(actor, mode=mode)
-    for per in ("step", "episode", "round"):
-        made[f"heads {per}"] = BootstrapSampling(heads, per=per)
-        for shared in (False, True):
-            made[f"thompson {per} {shared}"] = ThompsonSampling(actor, per=per, shared=shared)
-    for shared in (False, True):
-        made[f"noisy {shared}"] = NoisySampling(noisy, shared=shared)
-    return made
+    return policies_of(*(make(replicas, spec) for make in makers), spec)
 
 
 @pytest.mark.parametrize("replicas", [(), (3,)])

@@ -3,6 +3,7 @@
 import pytest
 import q_transitions
 import torch
+from q_actor import all_legal, policies_of
 from q_transitions import ACTIONS, away, result
 from tensordict.nn import TensorDictModule, TensorDictSequential
 from torch import nn
@@ -11,19 +12,11 @@ from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import EGreedyModule, QValueActor, QValueModule
 
 from bbq_torchrl.bayes import BayesLinear, kl_divergence
-from bbq_torchrl.exploration import (
-    BootstrapSampling,
-    EvaluationPolicy,
-    Greedy,
-    MajorityVote,
-    NoisySampling,
-    ThompsonSampling,
-)
 from bbq_torchrl.networks import BootstrapMLP, ReplicaNoisyLinear
 from bbq_torchrl.networks.bootstrap import VoteModule
 from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, NoisyDQNLoss
 
-ROWS, HIDDEN = 6, 8
+ROWS, HIDDEN = 20, 8
 SPEC = Categorical(ACTIONS)
 
 
@@ -101,33 +94,20 @@ def test_a_loss_learns_all_of_an_actor(make, kind, settings):
         torch.testing.assert_close(out["kl"], kl_divergence(actor))
 
 
-@pytest.mark.parametrize(
-    ("kind", "settings", "makes", "keeps_its_draw"),
-    [
-        (Greedy, {}, BAYESIAN, True),
-        *(
-            (ThompsonSampling, {"per": per, "shared": shared}, BAYESIAN, per != "step")
-            for per in ("step", "episode", "round")
-            for shared in (False, True)
-        ),
-        *(
-            (EvaluationPolicy, {"mode": mode, "num_draws": 3}, BAYESIAN, mode != "thompson")
-            for mode in ("mean", "average", "draw", "thompson")
-        ),
-        (NoisySampling, {}, [noisy], False),
-        (MajorityVote, {}, [heads], True),
-        (BootstrapSampling, {"per": "round"}, [heads], True),
-    ],
-)
-def test_every_strategy_and_evaluation_acts_on_it(kind, settings, makes, keeps_its_draw):
+@pytest.mark.parametrize("bayesian", BAYESIAN)
+def test_every_policy_acts_on_it(bayesian):
     td = transitions().select("observation", "state", "action_mask")
     td["is_init"] = torch.zeros(ROWS, 1).bool()
-    for make in makes:
-        policy = kind(make(), **settings)
+    changing = set()
+    for name, policy in policies_of(bayesian(), noisy(), heads(), SPEC).items():
         with set_exploration_type(ExplorationType.RANDOM):
             first, second = policy(td.clone()), policy(td.clone())
-        assert td["action_mask"].gather(-1, first["action"].unsqueeze(-1)).all()
-        assert (first == second).all() == keeps_its_draw
+        assert all_legal(first), name
+        if not torch.equal(first["action_value"], second["action_value"]):
+            changing.add(name)
         if "state" in policy.in_keys:  # where the next step goes on
-            assert first["next", "state"].shape == (ROWS, HIDDEN)
-        assert policy.spec is None or make is heads  # TensorDictSequential has none
+            assert first["next", "state"].shape == (ROWS, HIDDEN), name
+    assert changing == {
+        *("thompson step False", "thompson step True", "thompson epsilon", "evaluation thompson"),
+        *("noisy False", "noisy True", "noisy epsilon", "heads step"),
+    }

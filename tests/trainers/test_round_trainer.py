@@ -137,11 +137,8 @@ def gradients(*losses):
 
 @pytest.mark.parametrize("q", [lambda r: plain_loss(r, dropout=0.5), bayes_loss])
 def test_an_update_has_the_gradients_and_the_metrics_of_each_loss(q):
-    q_loss, dynamics, learned = (
-        q((2,))[0],
-        dynamics_loss((2,)),
-        Batch(transitions((2,)), (True, True)),
-    )
+    q_loss, dynamics = q((2,))[0], dynamics_loss((2,))
+    learned = Batch(transitions((2,)), (True, True))
     torch.manual_seed(0)
     for loss in (q_loss, dynamics):
         loss(learned.transitions)["loss"].backward()
