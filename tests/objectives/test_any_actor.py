@@ -11,7 +11,7 @@ from torchrl.data import Categorical
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 from torchrl.modules import EGreedyModule, QValueActor, QValueModule
 
-from bbq_torchrl.bayes import BayesLinear, kl_divergence
+from bbq_torchrl.bayes import BayesLinear, GaussianPosterior, kl_divergence
 from bbq_torchrl.networks import BootstrapMLP, ReplicaNoisyLinear
 from bbq_torchrl.networks.bootstrap import VoteModule
 from bbq_torchrl.objectives import BBQNLoss, BootstrapDQNLoss, NoisyDQNLoss
@@ -25,6 +25,17 @@ def transitions():
     td = q_transitions.transitions(batch=(ROWS,), features=60)
     td["state"], td["next", "state"] = torch.randn(2, ROWS, HIDDEN)
     return td
+
+
+class Gain(nn.Module):
+    """A module that only contains a posterior."""
+
+    def __init__(self, features):
+        super().__init__()
+        self.posterior = GaussianPosterior([features], 0.5)
+
+    def forward(self, x):
+        return x * self.posterior.weights()
 
 
 class Cell(nn.Module):
@@ -62,7 +73,7 @@ def heads():
 def nested():
     trunk = TensorDictModule(nn.Linear(60, HIDDEN), ["observation"], ["hidden"])
     explore = EGreedyModule(SPEC, 0.0, 0.0, action_mask_key="action_mask")
-    net = BayesLinear(HIDDEN, ACTIONS)
+    net = nn.Sequential(BayesLinear(HIDDEN, ACTIONS), Gain(ACTIONS))
     actor = QValueActor(net, in_keys=["hidden"], spec=SPEC, action_mask_key="action_mask")
     return TensorDictSequential(TensorDictSequential(trunk, actor), explore)
 
@@ -91,6 +102,8 @@ def test_a_loss_learns_all_of_an_actor(make, kind, settings):
     out["loss"].backward()
     assert all(p.grad.isfinite().all() and p.grad.any() for p in loss.parameters())
     if kind is BBQNLoss:
+        posteriors = [part for part in actor.modules() if isinstance(part, GaussianPosterior)]
+        torch.testing.assert_close(out["kl"], sum(part.kl() for part in posteriors))
         torch.testing.assert_close(out["kl"], kl_divergence(actor))
 
 

@@ -2,7 +2,7 @@
 
 import pytest
 import torch
-from q_transitions import ACTIONS, FEATURES, REPLICAS, transitions
+from q_transitions import ACTIONS, FEATURES, transitions
 from tensordict import TensorDict
 from torchrl.data import Categorical
 
@@ -84,18 +84,6 @@ def test_a_replica_is_fitted_bitwise_as_next_to_others_and_padding_is_left_out(t
     assert torch.equal(loss.network.mean[0], mean)
     assert torch.equal(loss.network.factor[0], factor)
     assert out["loss_value"].isfinite().all()
-
-
-@pytest.mark.parametrize("replicas", REPLICAS)
-def test_each_replica_and_action_has_its_own_posterior(replicas):
-    loss, data = gp_loss(replicas), transitions(replicas, (4, 8))
-    data["action"][data["action"] == 2] = 1
-    out = loss.fit(data)
-    assert out["loss_value"].shape == replicas
-    factor = loss.network.factor.detach()
-    prior = torch.eye(factor.shape[-1])
-    assert torch.equal(factor[..., 2, :, :], prior.expand_as(factor[..., 2, :, :]))
-    assert not torch.isclose(factor[..., 1, :, :], prior).all()
 
 
 @pytest.mark.parametrize(
