@@ -11,16 +11,11 @@ from torchrl.envs import Compose, InitTracker, SerialEnv, StepCounter, Transform
 from bbq_torchrl.envs import DialogueEnv, EnvState, UniformPolicy, scripted_policy
 
 
-def make(movie, batch_size, seed=0):
-    return DialogueEnv(
-        movie, batch_size=batch_size, seed=seed, slot_error_prob=0.5, intent_error_prob=0.5
-    )
-
-
 @pytest.mark.parametrize(("batch_size", "last"), [((6,), ()), ((2, 3), (1,))])
 def test_dialogues_that_wait_stay_as_they_are_and_the_others_play_on(restaurant, batch_size, last):
     which = torch.tensor([True, False, True, False, False, True]).view(batch_size)
-    env, whole = (make(restaurant, batch_size) for _ in range(2))
+    settings = {"batch_size": batch_size, "slot_error_prob": 0.5, "intent_error_prob": 0.5}
+    env, whole = (DialogueEnv(restaurant, seed=0, **settings) for _ in range(2))
     for one in (env, whole):
         told = one.reset()
         torch.manual_seed(0)

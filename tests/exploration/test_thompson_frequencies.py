@@ -27,14 +27,6 @@ class OwnLayer(BayesLinear):
     run_local = BayesLayer.run_local
 
 
-def away_from_the_prior(net):
-    """Gives the network a random posterior, wide enough that several actions may be the best."""
-    with torch.no_grad():
-        net.posterior.mu.normal_(0, 0.15)
-        net.posterior.rho.uniform_(-1, 0)
-    return net
-
-
 @pytest.mark.parametrize(
     ("kind", "per", "shared"),
     [*((BayesLinear, *way) for way in WAYS), (OwnLayer, "step", False)],
@@ -43,7 +35,10 @@ def away_from_the_prior(net):
 def test_a_linear_networks_action_is_taken_as_often_as_it_is_the_best(kind, per, shared, legal):
     # Q_a = w_a · x + b_a are independent Gaussians
     x = torch.randn(FEATURES)
-    posterior = away_from_the_prior(BayesLinear(FEATURES, ACTIONS))
+    posterior = BayesLinear(FEATURES, ACTIONS)
+    with torch.no_grad():  # so wide that several actions may be the best
+        posterior.posterior.mu.normal_(0, 0.15)
+        posterior.posterior.rho.uniform_(-1, 0)
     ((matrix, bias),) = posterior.layout.unflatten(posterior.posterior.mu.detach())
     ((matrix_std, bias_std),) = posterior.layout.unflatten(posterior.posterior.sigma.detach())
     mean = x @ matrix + bias

@@ -43,12 +43,9 @@ def test_invalid_users_are_refused(users, message):
 
 
 def test_error_rates_need_a_slot_of_the_domain_and_an_error_model(movie):
-    users = profiles_of({"slot_error_prob": {"daet": 0.1}})
+    users = {"slot_error_prob": {"daet": 0.1}}
     with pytest.raises(ValueError, match=r"users\[0\]\.slot_error_prob .*'daet'"):
-        Mix(tensorize(movie), users)
+        Mix(tensorize(movie), profiles_of(users))
+    users = {"slot_error_prob": {"date": 0.1}}
     with pytest.raises(ValueError, match="slot_error_prob"):
-        Simulator(
-            tensorize(movie),
-            users={"slot_error_prob": {"date": 0.1}},
-            errors=load_errors(movie),
-        )
+        Simulator(tensorize(movie), users=users, errors=load_errors(movie))
