@@ -65,6 +65,12 @@ def policies_of(actor, noisy, heads, spec):
     return made
 
 
+def policies(replicas, spec=SPEC):
+    """Every policy by name, with replicas."""
+    makers = (bayes_actor, noisy_actor, heads_actor)
+    return policies_of(*(make(replicas, spec) for make in makers), spec)
+
+
 def observations(*batch, same=True):
     """States with a random mask in which at least one action is legal; the same for all rows."""
     shape = (1,) * len(batch) if same else batch

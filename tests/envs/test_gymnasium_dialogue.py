@@ -97,17 +97,18 @@ def test_a_goal_can_be_chosen_and_all_else_stays(restaurant):
 
 
 @pytest.mark.parametrize(
-    ("options", "message"),
+    ("seed", "options", "message"),
     [
-        ({"goal": 5}, "'goal'"),
-        ({"goal_id": 1, "turn": 2}, "'turn'"),
-        *(({"goal_id": goal}, f"goal_id .*{goal!r}") for goal in (-1, 10**6, 1.5, "5", True)),
+        (0, {"goal": 5}, "'goal'"),
+        (0, {"goal_id": 1, "turn": 2}, "'turn'"),
+        *((0, {"goal_id": goal}, f"goal_id .*{goal!r}") for goal in (-1, 10**6, 1.5, "5", True)),
+        (2**70, None, "seed"),
     ],
     ids=str,
 )
-def test_other_options_are_refused(env, options, message):
+def test_other_options_and_seeds_are_refused(env, seed, options, message):
     with pytest.raises(ValueError, match=message):
-        env.reset(options=options)
+        env.reset(seed=seed, options=options)
     with pytest.raises(ResetNeeded):
         env.step(0)
 
@@ -134,10 +135,8 @@ def test_what_is_no_action_is_refused(env, action):
         env.step(action)
 
 
-def test_a_turn_after_the_end_and_a_seed_that_is_too_large_are_refused(env, restaurant):
+def test_a_turn_after_the_end_is_refused(env, restaurant):
     env.reset()
     env.step(restaurant.action_index("thanks"))
     with pytest.raises(ResetNeeded, match="reset"):
         env.step(0)
-    with pytest.raises(ValueError, match="seed"):
-        env.reset(seed=2**70)

@@ -4,18 +4,7 @@ from copy import deepcopy
 
 import pytest
 import torch
-from q_actor import (
-    ACTIONS,
-    FEATURES,
-    SPEC,
-    all_legal,
-    bayes_actor,
-    heads_actor,
-    noisy_actor,
-    observations,
-    policies_of,
-    values,
-)
+from q_actor import ACTIONS, FEATURES, SPEC, all_legal, bayes_actor, observations, policies, values
 from tensordict import TensorDict
 from tensordict.nn import TensorDictSequential
 from torch import nn
@@ -34,11 +23,6 @@ from bbq_torchrl.exploration.draws import q_draws
 from bbq_torchrl.networks import FlatMLP, bootstrap_actor, q_actor
 
 RANDOM, DETERMINISTIC = ExplorationType.RANDOM, ExplorationType.DETERMINISTIC
-
-
-def policies(replicas, spec=SPEC):
-    makers = (bayes_actor, noisy_actor, heads_actor)
-    return policies_of(*(make(replicas, spec) for make in makers), spec)
 
 
 @pytest.mark.parametrize("replicas", [(), (3,)])
