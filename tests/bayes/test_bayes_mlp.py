@@ -48,10 +48,7 @@ def test_fan_in_prior_keeps_the_spread_of_q_at_the_scale_of_the_input():
     assert spread == pytest.approx(variance**0.5, rel=0.05)
 
 
-def test_it_starts_at_the_prior_or_at_std_init():
-    net = BayesMLP(10, 3, (20,), prior_std=0.3, mean_init="zero", std_init=None)
-    assert not net.posterior.mu.any()
-    torch.testing.assert_close(net.posterior.sigma, torch.full_like(net.posterior.mu, 0.3))
+def test_it_starts_again_in_the_bounds_of_torch_linear_and_at_std_init():
     net = off_prior(BayesMLP(10, 3, (20,), replicas=(2,), mean_init="kaiming", std_init=0.03))
     net.reset_parameters()
     for matrix, bias in net.layout.unflatten(net.posterior.mu.detach()):

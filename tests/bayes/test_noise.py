@@ -8,8 +8,6 @@ from bbq_torchrl.bayes import BayesLinear, BayesMLP, weight_scope
 from bbq_torchrl.bayes.noise import NoisePool, SharedNoise, fill_normal_
 
 MANY = 2_000_000
-# A test of chance fails by chance with this probability.
-RARE = 1e-6
 
 
 def test_noise_is_normal():

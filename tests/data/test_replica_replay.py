@@ -165,12 +165,11 @@ class Measured(Transform):
         return {"novelty": torch.tensor([1.0, 2.0])}
 
 
-def replay_with(*transforms):
-    """A replay of two replicas, with one transform or three in a row."""
+def replay_with_three():
+    """A replay of two replicas, with three transforms in a row."""
     doubled = RewardScaling(0.0, 2.0, in_keys=[("next", "reward")])
     three = Compose(BootstrapMask(8, replicas=2), doubled, Measured())
-    (transform,) = transforms or (three,)
-    return ReplicaReplay(2000, replicas=2, keys=KEYS, transform=transform)
+    return ReplicaReplay(2000, replicas=2, keys=KEYS, transform=three)
 
 
 def masks_of(seed, count):
@@ -180,7 +179,7 @@ def masks_of(seed, count):
 
 
 def test_every_part_adds_what_is_stored_by_each_replicas_seed_and_changes_what_is_read():
-    replay = replay_with()
+    replay = replay_with_three()
     replay.seed([7, 8])
     replay.extend([rows(0, 5), rows(0, 2)])
     replay.protect()
@@ -197,7 +196,7 @@ def test_every_part_adds_what_is_stored_by_each_replicas_seed_and_changes_what_i
             assert torch.equal(read["bootstrap_mask"], masks[read["observation"][:, 0].int()])
 
     # both go along in a state
-    other = replay_with()
+    other = replay_with_three()
     other.load_state_dict(replay.state_dict())
     other.extend([rows(6, 3), rows(5, 4)])
     assert torch.equal(other.buffers[0][:]["bootstrap_mask"], masks_of(7, 9))
@@ -206,7 +205,7 @@ def test_every_part_adds_what_is_stored_by_each_replicas_seed_and_changes_what_i
 
 @pytest.mark.parametrize("transforms", [(Measured(), None), (None, Measured())])
 def test_a_state_of_another_transform_is_refused(transforms):
-    ours, theirs = (replay_with(each) for each in transforms)
+    ours, theirs = (filled(1, 1, transform=each) for each in transforms)
     with pytest.raises(ValueError, match="the same transform"):
         ours.load_state_dict(theirs.state_dict())
 

@@ -52,7 +52,6 @@ ONE_HOT = torch.eye(22)[:3]
         (torch.tensor([0, -1, 1]), "index"),
         (torch.tensor([0, 22, 1]), "index"),
     ],
-    ids=["one-hot", "bool one-hot", "float", "bool", "column", "below", "above"],
 )
 def test_what_is_no_index_of_an_action_is_refused(restaurant, action, got):
     env = DialogueEnv(restaurant, batch_size=(3,), seed=0)

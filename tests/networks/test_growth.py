@@ -69,7 +69,6 @@ def test_a_masked_network_trains_as_a_smaller_one(kind, replicas):
 
 
 LATE = {
-    "plain": FlatMLP,
     "noisy": NoisyMLP,
     "trunk": BootstrapMLP,
     "short trunk, prior": partial(BootstrapMLP, trunk_layers=1, prior_scale=1.0),

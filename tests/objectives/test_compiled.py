@@ -11,11 +11,6 @@ pytestmark = [
 ]
 
 
-def compiled(function):
-    # Tracing is what may break; a backend that generates code would only take longer.
-    return torch.compile(function, fullgraph=True, backend="aot_eager")
-
-
 @pytest.mark.parametrize(
     ("make", "settings"),
     [
@@ -31,7 +26,9 @@ def compiled(function):
 def test_a_loss_with_its_gradient_is_one_graph(make, settings):
     (loss, update), td = make((2,), **settings), transitions((2,))
     update.step()
-    found = compiled(lambda td: loss(td)["loss"])(td.clone())
+    # Tracing is what may break; a backend that generates code would only take longer.
+    compiled = torch.compile(lambda td: loss(td)["loss"], fullgraph=True, backend="aot_eager")
+    found = compiled(td.clone())
     found.backward()
     assert found.isfinite()
     assert all(p.grad.isfinite().all() and p.grad.any() for p in loss.parameters())

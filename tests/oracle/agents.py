@@ -22,8 +22,7 @@ class StrayingAgent:
     def __init__(self, world, number, random):
         self.random = random
         self.legal = [world.action_names[index] for index in world.legal_actions()]
-        ticket = f"inform({world.ticket})"
-        odd = ("confirm_answer", "confirm_question", "greeting", "deny", ticket)
+        odd = ("confirm_answer", "confirm_question", "greeting", "deny", f"inform({world.ticket})")
         self.odd = [name for name in self.legal if name in odd or "choice" in name]
         asked = world.domain.policies["careful"].steps
         self.asked = [slot for slot in asked if f"request({slot})" in self.legal]

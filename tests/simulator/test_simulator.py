@@ -9,8 +9,6 @@ from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.tensors import index_below
 from bbq_torchrl.simulator import ErrorModel, FeatureLayout, KnowledgeBase, Rewards, Simulator
 
-NAN = float("nan")
-
 
 def simulator_of(domain, errors=None, users="paper"):
     tensors = tensorize(domain)
@@ -86,7 +84,7 @@ def test_memory_grows_with_the_records_and_not_with_their_square(movie):
         (lambda domain: ErrorModel(domain, 1.5), r"slot_error_prob .* 1\.5"),
         (lambda domain: ErrorModel(domain, 0.1, "typo"), "slot_error_mode .*'typo'"),
         (lambda domain: ErrorModel(domain, intent_error_prob=-0.1), r"intent_error_prob .* -0\.1"),
-        (lambda _: Rewards(success=NAN), "success .* nan"),
+        (lambda _: Rewards(success=float("nan")), "success .* nan"),
     ],
 )
 def test_settings_out_of_range_are_refused(restaurant, make, message):

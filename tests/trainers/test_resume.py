@@ -69,17 +69,6 @@ def train(folder, moment=None):
     trainer.train(resume=True)
 
 
-def assert_same_training(folder, reference):
-    """Compares the last checkpoint of a finished run with that of an uninterrupted one."""
-    ours = build(folder)
-    ours.train(resume=True)
-    assert ours.rounds_done == reference.rounds_done == 10
-    assert rows(folder / "metrics.csv") == rows(reference.run_folder / "metrics.csv")
-    for part in ("learner.loss", "policy", "learner.optimizer", "replay"):
-        states = (attrgetter(part)(trainer).state_dict() for trainer in (ours, reference))
-        torch.testing.assert_close(*states, rtol=0, atol=0)
-
-
 @pytest.fixture(scope="module")
 def reference(tmp_path_factory):
     """An uninterrupted run."""
@@ -102,5 +91,12 @@ def test_a_training_killed_at_the_worst_moment_ends_the_same(tmp_path, reference
     forked.call(lambda: train(folder, moment), cwd=tmp_path, code=-signal.SIGKILL)
     train(folder)
 
-    assert_same_training(folder, reference)
+    # what the last checkpoint has is compared with that of the uninterrupted run
+    ours = build(folder)
+    ours.train(resume=True)
+    assert ours.rounds_done == reference.rounds_done == 10
+    assert rows(folder / "metrics.csv") == rows(reference.run_folder / "metrics.csv")
+    for part in ("learner.loss", "policy", "learner.optimizer", "replay"):
+        states = (attrgetter(part)(trainer).state_dict() for trainer in (ours, reference))
+        torch.testing.assert_close(*states, rtol=0, atol=0)
     assert not [path for path in (folder / "checkpoint").iterdir() if path.name.startswith(".")]
