@@ -93,7 +93,8 @@ class Accepting:
         is_meant = self._spelling.is_meant
         told |= {s: own for s, own in proposal.items() if s in told and is_meant(s, told[s], own)}
         fixed = {**{s: own for s, own in record.items() if s in self._fixed}, **proposal}
-        if any(fixed.get(slot, value) != value for slot, value in told.items()):
+        is_other = self._spelling.is_other(told, record)
+        if is_other or any(fixed.get(slot, value) != value for slot, value in told.items()):
             return None
         if beside is None:
             is_named = bool(told) and not said.unclear
@@ -155,6 +156,7 @@ class Accepting:
             if is_repeated and (told or says_yes or beside.confidence == 1.0):
                 return Understood(Frame("thanks"), 1.0, source=reading.source), False
             fits = all(offer.get(slot, value) == value for slot, value in told.items())
+            fits &= not self._spelling.is_other(told, offer)
             asked = {*beside.frame.requests} - {self._ticket}
             is_sure = not (asked or self._hear.is_unsure(beside)) and beside.frame.act != "deny"
             if told and fits and is_sure:

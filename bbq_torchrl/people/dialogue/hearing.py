@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.frames import ANY
 from bbq_torchrl.people.dialogue import moves
+from bbq_torchrl.people.dialogue.spelling import is_in
 from bbq_torchrl.people.language import Frame, Understood
 from bbq_torchrl.people.language.assembly import is_denied
 from bbq_torchrl.people.language.quantities import about_minutes
@@ -78,6 +79,8 @@ class Hearing:
         informs |= self._details_in(text, informs)
         words = tokenize(text)
         informs = {s: v for s, v in informs.items() if not self._is_small(words, s, v)}
+        if question is not None and not self._is_counted(text, question):
+            informs = {s: v for s, v in informs.items() if kinds.get(s) != "count"}
         days = [value for slot, value in informs.items() if kinds.get(slot) == "date"]
         informs = {  # "tonight" is a day, and no time as well; "nope" is no film
             slot: value
@@ -95,6 +98,14 @@ class Hearing:
             spoken_of = {action.slot for action in self._domain.actions}
             unclear = tuple(one for one in unclear if one.slot in spoken_of)  # others can wait
         return replace(reading, frame=frame, unclear=unclear)
+
+    def _is_counted(self, text: str, question: Frame) -> bool:
+        """Returns whether a number in a text may be a count: not in "what is it, five or six?"."""
+        kinds = self._spelling.lexicon.kinds
+        counts = {slot for slot in kinds if kinds[slot] == "count"}
+        asks = all(moves.says(one, "wh") and one.endswith("?") for one in moves.sentences(text))
+        named = {*question.requests, *self._spelling.named(text, counts)}
+        return not asks or not counts.isdisjoint(named)
 
     def _is_tiny(self, name: str) -> bool:
         """Returns whether a name has two letters, or only words such as "or"."""
@@ -116,7 +127,7 @@ class Hearing:
         meant = {
             one.slot: record[one.slot]
             for one in reading.unclear
-            if not one.is_denied and f" {one.text} " in f" {record.get(one.slot)} "
+            if not one.is_denied and is_in(one.text, record.get(one.slot, ""))
         }
         unclear = tuple(one for one in reading.unclear if one.slot not in meant)
         informs = self._spelling.as_in(record, text, reading.frame.informs) | meant

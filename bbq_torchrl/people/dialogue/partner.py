@@ -169,7 +169,7 @@ class Partner:
             return _led(answer, lead)
         is_only = (
             not told.rest
-            or moves.is_filler(told.rest)
+            or (moves.is_filler(told.rest) and not reading.frame.informs)
             or (not is_about and is_no(told.rest))
             or (moves.accepts(told.rest) and (before.is_offered or not told.is_yes))
         )
@@ -235,6 +235,7 @@ class Partner:
         if "drop" in rules and (is_about or values_of(reading.frame)):
             reading, refused = self._hear.refused(reading, held)
             now = replace(now, refused=(*now.refused, *refused))
+        spoken = reading.frame
         step = self._to_what_stands(turn, now, reading, others)
         if isinstance(step, Answer):
             return step
@@ -267,15 +268,24 @@ class Partner:
             answered, ended = Frame(understood.act), "person" if understood.act == "closing" else ""
             sentence = self._nlg.agent(answered, **turn.words)
             return Answer(sentence, reading, understood, answered, now, ended=ended)
-        answer = _led(self._act(now, reading, understood, turn.words, is_booked=is_booked), lead)
+        answer = self._act(now, reading, understood, turn.words, is_booked=is_booked)
+        if before.proposal and before.proposal.items() <= understood.informs.items():
+            lent = before.proposal.keys() - values_of(spoken)
+            state = self._tracking.lent(answer.memory.state, before.state, lent)
+            answer = replace(answer, memory=replace(answer.memory, state=state))
+        answer = _led(answer, lead)
         absent = self._absent(before, understood, answer)
         if absent:
             answer = _led(answer, self._nlg.say("no_promise", values=absent, **turn.words))
         if (is_unsure or others) and (unsaid := self._unsaid(before, answer)):
             answer = _led(answer, self._nlg.say("understood", values=unsaid, **turn.words))
         is_found = answer.acted and not answer.memory.proposal and bool(values_of(understood))
-        if moves.asks_whether_any(text) and is_found and not absent:
-            answer = _led(answer, self._nlg.say("yes", **turn.words))
+        asking = [one for one in moves.sentences(text) if moves.asks_whether_any(one)]
+        if asking and is_found and not absent:
+            is_heard = any(values_of(self._hear(one, None).frame) for one in asking)
+            is_unheard = not is_heard and moves.says(asking[0], "detail")  # "is there parking?"
+            use = "yes" if is_heard else "unknown_question" if is_unheard else ""
+            answer = _led(answer, self._nlg.say(use, **turn.words) if use else "")
         return answer
 
     def _to_what_stands(
@@ -295,7 +305,8 @@ class Partner:
         """
         before, text, words, rules = turn.before, turn.text, turn.words, self.control.rules
         is_denied = self._hear.is_bare(reading.frame, "deny")
-        is_no_more = is_no(text) or (is_denied and not turn.asks)
+        is_refused = not turn.asks or moves.says(text, "no_first")
+        is_no_more = is_no(text) or (is_denied and is_refused)
         is_booked = False
         if before.asking.is_check:
             if is_no_more:
@@ -313,7 +324,7 @@ class Partner:
                 return replace(now, proposal={}), taken, False, is_booked and not turn.asks
             if is_no_more and not others:
                 return self._ways_out.alternative(now, reading, words)
-            is_remark = is_denied and turn.asks and not others  # "is it at night? 4 isn't late"
+            is_remark = is_denied and not (is_no_more or others)  # "is it at night? 4 isn't late"
             if "yes_ends" in rules and (self._hear.is_bare(reading.frame, "thanks") or is_remark):
                 # A yes to what is proposed books nothing that was offered before.
                 return self._say(now, self._nlg.say("stands", **words), reading)

@@ -11,6 +11,7 @@ from bbq_torchrl.domains.frames import NO_MATCH_TEXT
 from bbq_torchrl.domains.values import RESERVED_TEXT, fold
 from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.hearing import DOUBTFUL
+from bbq_torchrl.people.dialogue.spelling import is_in
 from bbq_torchrl.people.language import Frame
 from bbq_torchrl.people.language.words import SMALL, tokenize
 
@@ -244,7 +245,6 @@ class Questions:
         if f" {record.get(of)} " in f" {values[0]} ":  # "great according to"
             return of
         for slot, own in record.items():
-            is_part = any(f" {v} " in f" {own} " for v in values)
-            if is_part or any(self._spelling.is_meant(slot, v, own) for v in values):
+            if any(is_in(v, own) or self._spelling.is_meant(slot, v, own) for v in values):
                 return slot
         return None

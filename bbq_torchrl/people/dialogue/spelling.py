@@ -179,12 +179,13 @@ class Spelling:
 
     def besides(self, values: Mapping[str, str], record: Mapping[str, str]) -> dict[str, str]:
         """Returns values without those that are how names of a record begin: "the AMC"."""
-        begun = {
-            slot
-            for slot, whole in self.wholes.items()
-            if slot in values and record.get(whole, "").startswith(f"{values[slot]} ")
-        }
+        begun = {s for s, w in self.wholes.items() if is_in(values.get(s, ""), record.get(w, ""))}
         return {slot: value for slot, value in values.items() if slot not in begun}
+
+    def is_other(self, values: Mapping[str, str], record: Mapping[str, str]) -> bool:
+        """Returns whether a value is how another name than a record's begins: another chain."""
+        kept = self.besides(values, record)
+        return any(slot in kept and whole in record for slot, whole in self.wholes.items())
 
     def is_vague_time(self, slot: str, value: str) -> bool:
         """Returns whether a value of a time names no time by the clock: "in the evening"."""
@@ -234,6 +235,11 @@ class Spelling:
         return tuple(
             slot for slot in slots if words & (nouns[slot] - (set() if slot in asked else spoken))
         )
+
+
+def is_in(name: str, other: str) -> bool:
+    """Returns whether a name is another, or a part of it."""
+    return f" {' '.join(tokenize(name))} " in f" {' '.join(tokenize(other))} "
 
 
 def _begins(name: str, others: Iterable[str]) -> bool:

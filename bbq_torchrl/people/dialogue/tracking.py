@@ -14,7 +14,7 @@ from bbq_torchrl.people.language import Frame
 from bbq_torchrl.simulator import Utterance
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Collection, Mapping, Sequence
 
     from bbq_torchrl.people.dialogue.control import Control
     from bbq_torchrl.people.dialogue.trained_agent import TrainedAgent
@@ -146,6 +146,22 @@ class Tracking:
     def kept(self, state: TensorDict | None) -> dict[str, str]:
         """Returns the values that the tracker holds or has set aside, by slot."""
         return {} if state is None else self.values(full(state))
+
+    def lent(
+        self, state: TensorDict, before: TensorDict | None, slots: Collection[str]
+    ) -> TensorDict:
+        """Returns a state in which some values are the agent's, if the person never told them.
+
+        Args:
+            state: the state.
+            before: the state before the person's act.
+            slots: their slots.
+        """
+        if "wished" not in state or before is None:
+            return state
+        is_lent = torch.tensor([slot in slots for slot in self._coding.slots])
+        is_lent &= before["wished"] == 0
+        return state.replace(wished=torch.where(is_lent, 0, state["wished"]))
 
     def aside(self, state: TensorDict | None) -> dict[str, str]:
         """Returns the values that the control has set aside, by slot."""

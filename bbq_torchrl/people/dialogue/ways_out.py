@@ -14,6 +14,7 @@ from bbq_torchrl.domains.values import FIRST_VALUE, NONE
 from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.exchange import Answer, values_of
 from bbq_torchrl.people.dialogue.hearing import DOUBTFUL
+from bbq_torchrl.people.dialogue.spelling import is_in
 from bbq_torchrl.people.dialogue.tracking import full
 from bbq_torchrl.people.language import Frame
 from bbq_torchrl.people.language.asking import Asking
@@ -291,6 +292,9 @@ class WaysOut:
             now = replace(now, refused=(*now.refused, now.proposal), proposal={})
         asked = [self._slots.index(slot) for slot in requests]
         change = self._records.nearest(full(now.state), self.refused(now), asked=asked)
+        if not (change or is_refused):  # who tells other wishes may mean one refused before
+            now = replace(now, refused=(), times=0)
+            change = self._records.nearest(full(now.state), asked=asked)
         return self.propose(now, reading, change, words, asked)
 
     def narrowed(
@@ -314,6 +318,9 @@ class WaysOut:
                 known[number] = NONE
                 fit = {names[value] for value in self._records.choices(known, number)}
                 left = left or tuple(value for value in one.candidates if value in fit)
+            said = [value for value in one.candidates if f" {value} " in f" {one.text} "]
+            if said:  # "the day after tomorrow"
+                left = (max(said, key=len),)
             if self._lexicon.kinds[one.slot] == "time":  # the nearest time, if none fits
                 left = left or one.candidates[:1]
             elif len(one.candidates) > 1:  # which of them, though none fits
@@ -330,7 +337,7 @@ class WaysOut:
             if found := self._whole(whole, name, text, place):
                 informs[whole], sure = found, max(sure, DOUBTFUL)
                 informs.pop(slot, None)
-                unclear = [one for one in unclear if f" {one.text} " not in f" {found} "]
+                unclear = [one for one in unclear if not is_in(one.text, found)]
         frame = replace(reading.frame, informs=informs)
         return replace(reading, frame=frame, confidence=sure, unclear=tuple(unclear))
 
@@ -358,7 +365,7 @@ class WaysOut:
         for known in (held, self._records.here(held)):  # of this movie, or here at all
             known[number] = NONE
             found = {names[value] for value in self._records.choices(known, number)}
-            fit = [one for one in found if name and one.startswith(f"{name} ")]
+            fit = [one for one in found if name and is_in(name, one)]
             if not name:
                 fit = [one for one in found if any(pair in f" {one} " for pair in pairs)]
             if fit:
