@@ -105,7 +105,7 @@ class Accepting:
         known = {**record, **proposal}
         is_known = all(known.get(s) == value for s, value in told.items() if s not in self._free)
         is_yes = beside is not None and is_known and not (requests or said.unclear)
-        is_yes &= not moves.says(text, "hesitates", "but")
+        is_yes &= not moves.says(text, "hesitates", "but", "condition")
         taken = replace(said, frame=frame, confidence=max(said.confidence, DOUBTFUL))
         return taken, is_yes or moves.accepts(text)
 
@@ -153,7 +153,8 @@ class Accepting:
             # "sonds good, yes"
             says_yes = beside.frame.act in ("confirm_answer", "thanks")
             says_yes |= moves.ends_in_yes(text) and self._hear.is_bare(beside.frame)
-            if is_repeated and (told or says_yes or beside.confidence == 1.0):
+            is_plain_yes = says_yes or beside.confidence == 1.0
+            if is_repeated and (told or (is_plain_yes and not moves.says(text, "condition"))):
                 return Understood(Frame("thanks"), 1.0, source=reading.source), False
             fits = all(offer.get(slot, value) == value for slot, value in told.items())
             fits &= not self._spelling.is_other(told, offer)

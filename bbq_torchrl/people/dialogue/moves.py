@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 import yaml
 
+from bbq_torchrl.people.language.quantities import PART_WORDS
 from bbq_torchrl.people.language.words import SMALL, legible, tokenize
 
 if TYPE_CHECKING:
@@ -251,6 +252,20 @@ def without_verbs(text: str) -> str:
     return _FIND["verb"].sub(" ", _words(text))
 
 
+def without_complaint(text: str) -> str:
+    """Returns a text without what it says of a time that is too late, if it says more.
+
+    Examples:
+        >>> without_complaint("9 is too late for children. the 2:35, is it still there?")
+        '. the 2:35 , is it still there ?'
+        >>> without_complaint("9:20 is a bit late")
+        '9:20 is a bit late'
+    """
+    rest = _FIND["complaint"].sub("", _words(text))
+    is_more = rest != _words(text) and any(map(str.isdigit, rest))
+    return rest.strip() if is_more else text
+
+
 def without_question(text: str) -> str:
     """Returns a text without the question that ends it, if it says something before."""
     *said, last = _SENTENCE.findall(text)
@@ -346,6 +361,8 @@ def named_values(words: str, held: Mapping[str, str], lexicon: Lexicon) -> list[
                 and (link := lexicon.link(slot, name)).score > 0.8
                 and held[slot] in link.values
             ]
+            if {*name.split()} - SMALL <= PART_WORDS:  # "the evening" is no other name of tonight
+                held_slots = [slot for slot in held if lexicon.kinds.get(slot) == "time"]
             only = lexicon.only_slot(name) if size > 1 or len(name) > 3 else None
             if slots := held_slots or ([only] if only else []):
                 found += slots

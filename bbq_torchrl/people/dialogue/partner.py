@@ -140,6 +140,8 @@ class Partner:
         record = near if is_about else {}
         told = Told("", {}, text)
         try:
+            if "answers_first" in rules:
+                text = moves.without_complaint(text)
             if "drop" in rules and moves.says(text, "restart"):
                 sentence = self._nlg.say("restart", **words)
                 greeting = self._nlg.agent(Frame("request"), **words)

@@ -532,7 +532,8 @@ class WaysOut:
         ids[[*change, *asked]] = row[[*change, *asked]]
         proposal = self._tracking.values(ids)
         conflict = {self._slots[n]: records.vocabulary[n][held[n]] for n in records.conflict(held)}
-        times = now.times + 1
+        asks = bool(values_of(reading.frame) or reading.frame.requests)
+        times = 1 if asks and proposal != now.proposal else now.times + 1
         if not change or times > _MAX_PROPOSALS:
             told = self._tracking.values(torch.where(held >= FIRST_VALUE, held, self._place * row))
             names = [*conflict] or [*told][:_MAX_NAMED]
