@@ -537,8 +537,8 @@ class Partner:
         """Returns an act with what it takes back unsaid, and the state after it."""
         held = self._tracking.kept(before)
         told = {slot: v for slot, v in values_of(act).items() if slot in self._details}
-        here, rest = self._ways_out.place(told), {**held, **act.informs}
-        known = self._ways_out.place({s: v for s, v in rest.items() if s not in told})
+        here, rest = self._ways_out.lasting(told), {**held, **act.informs}
+        known = self._ways_out.lasting({s: v for s, v in rest.items() if s not in told})
         # A zip code is in a city.
         near = {slot: here[slot] for slot in here if slot in self._fixed and slot not in known}
         act = replace(act, informs={**near, **act.informs})

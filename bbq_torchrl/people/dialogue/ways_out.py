@@ -332,7 +332,7 @@ class WaysOut:
         for slot, whole in self._wholes.items():
             if whole in informs or any(one.is_denied for one in unclear):
                 continue
-            place = self._lasting({**held, **record}) | informs
+            place = self.lasting({**held, **record}) | informs
             name = next((one.text for one in unclear if one.slot == slot), informs.get(slot, ""))
             if found := self._whole(whole, name, text, place):
                 informs[whole], sure = found, max(sure, DOUBTFUL)
@@ -340,11 +340,6 @@ class WaysOut:
                 unclear = [one for one in unclear if not is_in(one.text, found)]
         frame = replace(reading.frame, informs=informs)
         return replace(reading, frame=frame, confidence=sure, unclear=tuple(unclear))
-
-    def _lasting(self, values: Mapping[str, str]) -> dict[str, str]:
-        """Returns the values for what a dialogue is about and its place, of some values."""
-        held = torch.tensor(self._tracking.ids(values))
-        return self._tracking.values(self._records.here(held, self._records.lasting))
 
     def _whole(self, slot: str, name: str, text: str, place: Mapping[str, str]) -> str:
         """Returns the one value of a slot here that a text means by a part; empty if none is.
@@ -357,17 +352,16 @@ class WaysOut:
         """
         number, said = self._slots.index(slot), tokenize(text)
         names = self._records.vocabulary[number]
-        lasting = {s for s, lasts in zip(self._slots, self._records.lasting, strict=True) if lasts}
-        spans = [span for span in self._lexicon.full_names(said) if span.slot in lasting]
+        lasts = dict(zip(self._slots, self._records.lasting.tolist(), strict=True))
+        spans = [span for span in self._lexicon.full_names(said) if lasts[span.slot]]
         other = {word for span in spans for word in said[span.start : span.end]}
-        pairs = [f" {' '.join(pair)} " for pair in pairwise(said) if {*pair}.isdisjoint(other)]
+        pairs = [" ".join(pair) for pair in pairwise(said) if {*pair}.isdisjoint(other)]
         held = torch.tensor(self._tracking.ids(place))
         for known in (held, self._records.here(held)):  # of this movie, or here at all
             known[number] = NONE
             found = {names[value] for value in self._records.choices(known, number)}
-            fit = [one for one in found if name and is_in(name, one)]
-            if not name:
-                fit = [one for one in found if any(pair in f" {one} " for pair in pairs)]
+            parts = [name] if name else pairs
+            fit = [one for one in found if any(is_in(part, one) for part in parts)]
             if fit:
                 return fit[0] if len(fit) == 1 else ""
         return ""
@@ -453,9 +447,10 @@ class WaysOut:
         is_same = ~self._own | (news == NONE) | (news == held)
         return bool((is_met & is_same & ~is_missing).all())
 
-    def place(self, values: Mapping[str, str]) -> dict[str, str]:
-        """Returns the place that some values are in, as the city of a zip code."""
-        return self._tracking.values(self._records.here(torch.tensor(self._tracking.ids(values))))
+    def lasting(self, values: Mapping[str, str]) -> dict[str, str]:
+        """Returns what some values are about and where, as the city of a zip code."""
+        held = torch.tensor(self._tracking.ids(values))
+        return self._tracking.values(self._records.here(held, self._records.lasting))
 
     def implied(self, values: Mapping[str, str]) -> dict[str, str]:
         """Returns values with those that they determine, as a theater its city."""
