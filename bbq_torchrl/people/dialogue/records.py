@@ -43,6 +43,8 @@ one of the opening slot, which a dialogue is about: people accept another time b
 def completed(domain: Domain) -> tuple[Mapping[str, str], ...]:
     """Returns the records of a domain with what their other values determine, as a city its state.
 
+    What a value determines may be how its name begins: "Cineplex Odeon Albany 20" is of that chain.
+
     Args:
         domain: the domain, with one spelling for each value.
     """
@@ -51,9 +53,12 @@ def completed(domain: Domain) -> tuple[Mapping[str, str], ...]:
     for one, other in determines.nonzero().tolist():
         name, determined = domain.slots[one], domain.slots[other]
         known = {r[name]: r[determined] for r in records if name in r and determined in r}
+        begins = sorted({*known.values()}, key=len, reverse=True)
         for record in records:
-            if record.get(name) in known:
-                record.setdefault(determined, known[record[name]])
+            whole = record.get(name, "")
+            begun = next((value for value in begins if whole.startswith(f"{value} ")), None)
+            if found := known.get(whole, begun):
+                record.setdefault(determined, found)
     return tuple(records)
 
 

@@ -48,3 +48,13 @@ def test_a_record_of_a_known_place_is_in_no_other_state(spelling):
     for told, is_elsewhere in ((place, True), ({**place, "city": rows[row]["city"]}, False)):
         differs, _ = records.compare(torch.tensor(coding.ids(told)))
         assert bool(differs[row].any()) == is_elsewhere
+
+
+def test_a_chain_that_begins_the_name_of_a_theater_is_its_chain(movie, spelling):
+    chains = {record["theater_chain"] for record in movie.records if "theater_chain" in record}
+    begun = 0
+    for own, record in zip(movie.records, spelling.domain.records, strict=True):
+        fit = [one for one in chains if record.get("theater", "").startswith(f"{one} ")]
+        assert "theater_chain" in own or record.get("theater_chain") in (fit or [None])
+        begun += bool(fit) and "theater_chain" not in own
+    assert begun
