@@ -537,11 +537,11 @@ class Partner:
         """Returns an act with what it takes back unsaid, and the state after it."""
         held = self._tracking.kept(before)
         told = {slot: v for slot, v in values_of(act).items() if slot in self._details}
-        here, rest = self._ways_out.lasting(told), {**held, **act.informs}
-        known = self._ways_out.lasting({s: v for s, v in rest.items() if s not in told})
-        # A zip code is in a city.
-        near = {slot: here[slot] for slot in here if slot in self._fixed and slot not in known}
-        act = replace(act, informs={**near, **act.informs})
+        if told and (here := self._ways_out.lasting(told)):  # a zip code is in a city
+            rest = {**held, **act.informs}
+            known = self._ways_out.lasting({s: v for s, v in rest.items() if s not in told})
+            near = {s: v for s, v in here.items() if s in self._fixed and s not in known}
+            act = replace(act, informs={**near, **act.informs})
         implied = self._ways_out.implied(values_of(act))
         # A theater of another chain takes back the chain.
         gone = {

@@ -63,6 +63,10 @@ class WaysOut:
     ) -> None:
         self._lexicon, self._slots = spelling.lexicon, spelling.domain.slots
         self._spelling, self._wholes = spelling, spelling.wholes
+        self._pairs_in = {
+            slot: {pair for name in self._lexicon.values(slot) for pair in _pairs(tokenize(name))}
+            for slot in self._wholes.values()
+        }
         self._tracking, self._records, self._nlg = tracking, records, nlg
         self._place, domain, kinds = place, spelling.domain, spelling.lexicon.kinds
         self._free = torch.tensor([slot in domain.free_slots for slot in domain.slots])
@@ -351,6 +355,8 @@ class WaysOut:
             place: what the record is about and where it is.
         """
         number, said = self._slots.index(slot), tokenize(text)
+        if not name and self._pairs_in[slot].isdisjoint(_pairs(said)):
+            return ""
         names = self._records.vocabulary[number]
         lasts = dict(zip(self._slots, self._records.lasting.tolist(), strict=True))
         spans = [span for span in self._lexicon.full_names(said) if lasts[span.slot]]
@@ -566,3 +572,8 @@ class WaysOut:
     def _pairs(self, values: Mapping[str, str]) -> list[tuple[int, int]]:
         """Returns the values that the domain has as pairs of slot and value id."""
         return [(slot, value) for slot, value in enumerate(self._tracking.ids(values)) if value]
+
+
+def _pairs(words: Sequence[str]) -> list[str]:
+    """Returns the pairs of words that stand beside each other."""
+    return [" ".join(pair) for pair in pairwise(words)]
