@@ -19,7 +19,7 @@ def goals(env):
 
 
 def in_forked(folder, call):
-    """What a function returns in each of two forked processes, as text."""
+    """Returns what a function returns in each of two forked processes, as text."""
     return [forked.call(lambda: print(call()), cwd=folder)[0].strip() for _ in range(2)]
 
 

@@ -104,7 +104,7 @@ def test_it_is_protected_unless_that_is_not_wanted(tmp_path, protect):
     dialogues = [buffer[:] for buffer in replay.buffers]
     assert [int(own["next", "done"].sum()) for own in dialogues] == [5, 5, 5]
     states = torch.cat([own["observation"] for own in dialogues])
-    assert len(states.unique(dim=0)) == len(states)  # replicas have dialogues of their own
+    assert len(states.unique(dim=0)) == len(states)  # each replica has its own dialogues
 
 
 def test_one_that_fills_the_capacity_is_refused(tmp_path):

@@ -79,8 +79,9 @@ class Hearing:
         informs |= self._details_in(text, informs)
         words = tokenize(text)
         informs = {s: v for s, v in informs.items() if not self._is_small(words, s, v)}
-        if question is not None and not self._is_counted(text, question):
-            informs = {s: v for s, v in informs.items() if kinds.get(s) != "count"}
+        counts = {slot for slot in informs if kinds.get(slot) == "count"}
+        if question is not None and counts and not self._is_counted(text, question):
+            informs = {s: v for s, v in informs.items() if s not in counts}
         days = [value for slot, value in informs.items() if kinds.get(slot) == "date"]
         informs = {  # "tonight" is a day, and no time as well; "nope" is no film
             slot: value

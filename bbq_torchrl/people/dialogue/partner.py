@@ -550,7 +550,7 @@ class Partner:
             if slot in self._details and slot not in values_of(act)
             if value != ANY and implied.get(slot, value) != value
         }
-        gone |= {
+        gone |= {  # though no record has the chain of that theater
             slot: ANY
             for slot, whole in self._spelling.wholes.items()
             if whole in act.informs and held.get(slot, ANY) != ANY and slot not in act.informs

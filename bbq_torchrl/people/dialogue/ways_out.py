@@ -62,10 +62,10 @@ class WaysOut:
         place: torch.Tensor,
     ) -> None:
         self._lexicon, self._slots = spelling.lexicon, spelling.domain.slots
-        self._spelling, self._wholes = spelling, spelling.wholes
-        self._pairs_in = {
-            slot: {pair for name in self._lexicon.values(slot) for pair in _pairs(tokenize(name))}
-            for slot in self._wholes.values()
+        self._spelling = spelling
+        self._parts = {
+            slot: {part for name in self._lexicon.values(slot) for part in _parts(tokenize(name))}
+            for slot in spelling.wholes.values()
         }
         self._tracking, self._records, self._nlg = tracking, records, nlg
         self._place, domain, kinds = place, spelling.domain, spelling.lexicon.kinds
@@ -333,7 +333,7 @@ class WaysOut:
                 informs[one.slot] = left[0]
             else:
                 unclear.append(replace(one, candidates=left))
-        for slot, whole in self._wholes.items():
+        for slot, whole in self._spelling.wholes.items():
             if whole in informs or any(one.is_denied for one in unclear):
                 continue
             place = self.lasting({**held, **record}) | informs
@@ -355,18 +355,19 @@ class WaysOut:
             place: what the record is about and where it is.
         """
         number, said = self._slots.index(slot), tokenize(text)
-        if not name and self._pairs_in[slot].isdisjoint(_pairs(said)):
+        parts = [name] if name else [part for part in _parts(said) if part in self._parts[slot]]
+        if not parts:
             return ""
+        if not name:  # "New York" is a city
+            lasts = dict(zip(self._slots, self._records.lasting.tolist(), strict=True))
+            spans = [span for span in self._lexicon.full_names(said) if lasts[span.slot]]
+            other = {word for span in spans for word in said[span.start : span.end]}
+            parts = [part for part in parts if other.isdisjoint(part.split())]
         names = self._records.vocabulary[number]
-        lasts = dict(zip(self._slots, self._records.lasting.tolist(), strict=True))
-        spans = [span for span in self._lexicon.full_names(said) if lasts[span.slot]]
-        other = {word for span in spans for word in said[span.start : span.end]}
-        pairs = [" ".join(pair) for pair in pairwise(said) if {*pair}.isdisjoint(other)]
         held = torch.tensor(self._tracking.ids(place))
         for known in (held, self._records.here(held)):  # of this movie, or here at all
             known[number] = NONE
             found = {names[value] for value in self._records.choices(known, number)}
-            parts = [name] if name else pairs
             fit = [one for one in found if any(is_in(part, one) for part in parts)]
             if fit:
                 return fit[0] if len(fit) == 1 else ""
@@ -384,18 +385,16 @@ class WaysOut:
         }
 
     def earlier(self, memory: Memory, told: Mapping[str, str]) -> Mapping[str, str]:
-        """Returns the latest record shown before that has some values; empty if there is none."""
+        """Returns the latest of the other records shown that has these values, if any."""
         now = self.shown(memory)
         others = (one for one in reversed(memory.shown) if one != now)
         return next((one for one in others if self._fits(one, told)), {})
 
     def _fits(self, record: Mapping[str, str], told: Mapping[str, str]) -> bool:
         """Returns whether a record has values, or has them in its own: "the Regal"."""
-        named = ((s, value, record.get(self._wholes.get(s, s), "")) for s, value in told.items())
-        return all(
-            f" {value} " in f" {own} " or self._spelling.is_meant(slot, value, own)
-            for slot, value, own in named
-        )
+        wholes, is_meant = self._spelling.wholes, self._spelling.is_meant
+        named = ((s, value, record.get(wholes.get(s, s), "")) for s, value in told.items())
+        return all(is_in(value, own) or is_meant(slot, value, own) for slot, value, own in named)
 
     def back(
         self, now: Memory, reading: Understood, record: Mapping[str, str], words: dict[str, Any]
@@ -574,6 +573,6 @@ class WaysOut:
         return [(slot, value) for slot, value in enumerate(self._tracking.ids(values)) if value]
 
 
-def _pairs(words: Sequence[str]) -> list[str]:
-    """Returns the pairs of words that stand beside each other."""
+def _parts(words: Sequence[str]) -> list[str]:
+    """Returns each two words that stand beside each other."""
     return [" ".join(pair) for pair in pairwise(words)]

@@ -121,7 +121,7 @@ def test_the_interval_of_auroc_is_of_people():
 
 
 def power(capsys, command):
-    """What the command prints: how often the difference is found, and the standard error."""
+    """Returns how often the difference is found, and the standard error, as printed."""
     assert main(["power", *command.split()]) == 0
     return [float(line.split()[-1]) for line in capsys.readouterr().out.splitlines()]
 
