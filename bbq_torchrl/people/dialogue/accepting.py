@@ -141,7 +141,8 @@ class Accepting:
             return Understood(Frame("thanks"), 1.0, source=reading.source), False
         is_plain = frame.act != "deny" and ANY not in frame.informs.values()
         if is_plain and moves.books(text) and not reading.unclear:
-            beside = replace(reading, confidence=1.0)
+            said = self._hear(text, None) if self._hear.is_bare(frame) else reading
+            beside = replace(said, confidence=1.0)
         is_end = moves.ends_in_yes(text)
         # "a bit late, but fine, we'll take it", "great, two tickets please"
         if beside is None and (is_end or (is_plain and moves.begins_in_yes(text))):

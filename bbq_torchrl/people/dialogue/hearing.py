@@ -132,6 +132,11 @@ class Hearing:
         }
         unclear = tuple(one for one in reading.unclear if one.slot not in meant)
         informs = self._spelling.as_in(record, text, reading.frame.informs) | meant
+        fixed = {s: v for s, v in informs.items() if s not in self._domain.free_slots}
+        is_meant = self._spelling.is_meant
+        is_of_it = all(s in record and is_meant(s, v, record[s]) for s, v in fixed.items())
+        if is_of_it and not moves.others(text):  # "Friday" of a show on Friday night
+            informs |= {slot: record[slot] for slot in fixed}
         return replace(reading, frame=replace(reading.frame, informs=informs), unclear=unclear)
 
     def without_relative(

@@ -138,7 +138,7 @@ class Partner:
         is_about = bool(before.proposal) or before.is_offered
         near = self._ways_out.nearest(before)
         record = near if is_about else {}
-        told = Told("", {}, text)
+        told, untold = Told("", {}, text), ""
         try:
             if "answers_first" in rules:
                 text = moves.without_complaint(text)
@@ -157,6 +157,8 @@ class Partner:
             question = self._question(before)
             reading = self._hear(told.rest or text, question)
             if told.text and told.rest and (named := self._elsewhere(before, record, told.rest)):
+                untold = "" if told.values else told.text
+                text = told.rest if untold else text
                 told, reading = Told("", {}, text), self._hear(text, question)
                 frame = replace(reading.frame, informs={**named, **reading.frame.informs})
                 sure = max(reading.confidence, DOUBTFUL)
@@ -168,7 +170,7 @@ class Partner:
             reading, lead = self._without_strange(reading, question, words)
             turn = _Turn(before, record, question, text, words, moves.says(text, "question"))
             answer = self._reply(turn, reading)
-            return _led(answer, lead)
+            return _led(_led(answer, lead), untold)
         is_only = (
             not told.rest
             or (moves.is_filler(told.rest) and not reading.frame.informs)
@@ -335,7 +337,9 @@ class Partner:
                 before, turn.record, reading, text, turn.asks
             )
             if reading.frame.act == "not_sure" and not reading.unclear:
-                return self._say(now, self._nlg.say("stands", **words), reading)
+                answer = self._say(now, self._nlg.say("stands", **words), reading)
+                is_given = moves.says(text, "given")
+                return _led(answer, self._nlg.say("unknown_question", **words) if is_given else "")
         elif "book" in rules and moves.accepts(text) and self._hear.is_bare(reading.frame):
             reading = replace(reading, confidence=1.0)
         return now, reading, others, is_booked
@@ -374,6 +378,8 @@ class Partner:
     def _absent(self, before: Memory, understood: Frame, answer: Answer) -> dict[str, str]:
         """Returns the wishes that are news and that the record spoken of does not have."""
         known, aside = map(self._tracking.aside, (before.state, answer.memory.state))
+        if before.proposal:  # which says what its record lacks
+            known = self._tracking.kept(before.state)
         names = " ".join(self._ways_out.nearest(answer.memory).values())
         return {
             slot: value

@@ -148,10 +148,13 @@ class Spelling:
             is_close = links[slot].score > _CLOSE
             return replace(name, slot=slot, candidates=links[slot].values) if is_close else name
         relation, clock = read.rstrip("?").split()
-        times = (value for value in lexicon.values(slot) if self._has(slot, value))
+        times = [value for value in lexicon.values(slot) if self._has(slot, value)]
         to = of_evening(minutes_of(f"at {clock}"))
         away = {value: of_evening(minutes_of(value)) - to for value in times}
-        fit = (value for value in away if _SPANS[relation][0] <= away[value] <= _SPANS[relation][1])
+        spans = (_SPANS[one] for one in (relation, "around"))
+        exact, near = ([v for v in times if low <= away[v] <= high] for low, high in spans)
+        # No record has "at 6", but one has "around 6".
+        fit = exact or [v for v in times if read_time(v) == f"around {clock}"] or near
         return replace(name, candidates=tuple(sorted(fit, key=lambda value: abs(away[value]))))
 
     def is_meant(self, slot: str, said: str, own: str) -> bool:

@@ -243,6 +243,7 @@ class WaysOut:
         wanted, *other = moves.besides(moves.others(text))
         lexicon, named_values = self._lexicon, moves.named_values
         stays = moves.named_slots(moves.same(wanted), lexicon)
+        stays += [self._holder] * moves.says(wanted, "there")
         who = [self._holder] * moves.says(wanted, "holder")
         if question is not None and moves.says(wanted, "listed"):
             return [*question.requests], []
@@ -444,7 +445,9 @@ class WaysOut:
         is_added = self._own & (held < FIRST_VALUE) & (news != NONE)
         held = torch.where(is_added, news, held)
         is_told = (memory.state["wished"] > 0) & (held == row) | (proposed != NONE)
-        is_met = (held < FIRST_VALUE) | (held == row) | (proposed != NONE) | is_added
+        # What the record does not say was owned up to.
+        is_met = (held < FIRST_VALUE) | (held == row) | (row == NONE) | (proposed != NONE)
+        is_met |= is_added
         is_own = self._place & self._own
         is_missing = (self._place & (row != NONE) & ~(is_told | is_added)) | (
             is_own & (held < FIRST_VALUE)
