@@ -80,7 +80,8 @@ class Hearing:
         words = tokenize(text)
         informs = {s: v for s, v in informs.items() if not self._is_small(words, s, v)}
         counts = {slot for slot in informs if kinds.get(slot) == "count"}
-        if question is not None and counts and not self._is_counted(text, question):
+        is_pronoun = moves.says(text, "the_one") and {informs[s] for s in counts} == {"1"}
+        if is_pronoun or (question and counts and not self._is_counted(text, question)):
             informs = {s: v for s, v in informs.items() if s not in counts}
         days = [value for slot, value in informs.items() if kinds.get(slot) == "date"]
         informs = {  # "tonight" is a day, and no time as well; "nope" is no film

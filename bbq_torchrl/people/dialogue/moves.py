@@ -262,7 +262,7 @@ def without_complaint(text: str) -> str:
         '9:20 is a bit late'
     """
     rest = _FIND["complaint"].sub("", _words(text))
-    is_more = rest != _words(text) and any(map(str.isdigit, rest))
+    is_more = rest != _words(text) and (any(map(str.isdigit, rest)) or says(rest, "but_yes"))
     return rest.strip() if is_more else text
 
 

@@ -138,7 +138,7 @@ class Partner:
         is_about = bool(before.proposal) or before.is_offered
         near = self._ways_out.nearest(before)
         record = near if is_about else {}
-        told, untold = Told("", {}, text), ""
+        told, untold, whole = Told("", {}, text), "", text
         try:
             if "answers_first" in rules:
                 text = moves.without_complaint(text)
@@ -168,7 +168,7 @@ class Partner:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
         if not told.text:
             reading, lead = self._without_strange(reading, question, words)
-            turn = _Turn(before, record, question, text, words, moves.says(text, "question"))
+            turn = _Turn(before, record, question, text, words, moves.says(whole, "question"))
             answer = self._reply(turn, reading)
             return _led(_led(answer, lead), untold)
         is_only = (
@@ -325,6 +325,7 @@ class Partner:
                 # Who has told or read all of it need not read it again.
                 taken, is_yes = found
                 is_booked = is_yes and self._ways_out.is_whole(before, values_of(taken.frame))
+                is_booked &= not moves.others(text)
                 return replace(now, proposal={}), taken, False, is_booked and not turn.asks
             if is_no_more and not others:
                 return self._ways_out.alternative(now, reading, words)
