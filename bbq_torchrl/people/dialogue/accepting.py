@@ -105,7 +105,7 @@ class Accepting:
         known = {**record, **proposal}
         is_known = all(known.get(s) == value for s, value in told.items() if s not in self._free)
         is_yes = beside is not None and is_known and not (requests or said.unclear)
-        is_yes &= not moves.says(text, "hesitates", "but", "condition")
+        is_yes &= not (moves.says(text, "hesitates", "but") or self._asks_more(text, known))
         taken = replace(said, frame=frame, confidence=max(said.confidence, DOUBTFUL))
         return taken, is_yes or moves.accepts(text)
 
@@ -150,6 +150,8 @@ class Accepting:
         doubts = ["hesitates"] if is_end else ["hesitates", "but"]
         if beside is not None and not asks and not moves.says(rest or text, *doubts):
             told = self._spelling.besides(values_of(beside.frame), offer)
+            if self._asks_more(text, offer):
+                return replace(reading, frame=Frame("not_sure")), False
             is_repeated = told.items() <= offer.items()
             # "sonds good, yes"
             says_yes = beside.frame.act in ("confirm_answer", "thanks")
@@ -175,6 +177,18 @@ class Accepting:
         if not is_vague:
             return reading, False
         return replace(reading, frame=Frame("not_sure")), False
+
+    def _asks_more(self, text: str, offer: Mapping[str, str]) -> bool:
+        """Returns whether a text has a condition that is not of an offer's values."""
+        words, lexicon = moves.given(text), self._spelling.lexicon
+        known = [(slot, value) for slot, value in offer.items() if slot in lexicon.slots]
+        for slot, value in known if words else ():
+            if (at := lexicon.place(words, slot, value)) is not None:
+                del words[at.start : at.stop]
+        return not all(
+            any(value in lexicon.link(slot, word).values for slot, value in known)
+            for word in words
+        )
 
     def _beside_yes(
         self, before: Memory, text: str, values: Mapping[str, str]

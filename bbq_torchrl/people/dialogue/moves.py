@@ -158,6 +158,21 @@ def books(text: str) -> bool:
     )
 
 
+def given(text: str) -> list[str]:
+    """Returns the words of a condition, without those that name nothing.
+
+    Examples:
+        >>> given("sure, as long as it's all 8 of us sitting together")
+        ['8', 'sitting', 'together']
+        >>> given("ok, take it, if you could")
+        []
+    """
+    if not says(text, "given"):
+        return []
+    condition = _CLAUSE.split(_FIND["given"].split(_words(text))[-1])[0]
+    return _FIND["given_of_it"].sub(" ", condition).split()
+
+
 def asks_whether_any(text: str) -> bool:
     """Returns whether a text asks if there is a booking of some sort.
 
