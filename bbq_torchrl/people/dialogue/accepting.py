@@ -186,8 +186,7 @@ class Accepting:
             if (at := lexicon.place(words, slot, value)) is not None:
                 del words[at.start : at.stop]
         return not all(
-            any(value in lexicon.link(slot, word).values for slot, value in known)
-            for word in words
+            any(value in lexicon.link(slot, word).values for slot, value in known) for word in words
         )
 
     def _beside_yes(
