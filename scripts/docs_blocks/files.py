@@ -112,7 +112,7 @@ def _strangers() -> str:
         "questions not answered in the next reply": ("unanswered", "questions"),
         "other than a yes to an offer: answered": ("after_offer_answered", "after_offer"),
         "follow-ups to no match that helped": ("no_match_helped", "no_match"),
-        "needless checks, of all messages": ("checks", "messages"),
+        "heard a yes that was none": ("false_yes", None),
         "booked, or ended, against the person's will": ("against_will", None),
     }
     cells, rows = {}, read_csv("strangers.csv")
