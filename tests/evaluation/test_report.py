@@ -86,6 +86,7 @@ def test_runs_that_are_not_finished_are_named_and_break_no_report(add, report):
     assert str(killed) in named
     assert str(extended) in named
     assert "| BBQN-MAP | thompson | 5 |" in text
+    assert "| 10.71 |" in text  # the paper's reward
 
 
 def test_a_result_says_which_commit_it_is_of():
