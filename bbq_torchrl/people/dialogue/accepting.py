@@ -157,7 +157,7 @@ class Accepting:
             says_yes = beside.frame.act in ("confirm_answer", "thanks")
             says_yes |= moves.ends_in_yes(text) and self._hear.is_bare(beside.frame)
             is_plain_yes = says_yes or beside.confidence == 1.0
-            if is_repeated and (told or (is_plain_yes and not moves.says(text, "condition"))):
+            if is_repeated and (told or is_plain_yes):
                 return Understood(Frame("thanks"), 1.0, source=reading.source), False
             fits = all(offer.get(slot, value) == value for slot, value in told.items())
             fits &= not self._spelling.is_other(told, offer)
