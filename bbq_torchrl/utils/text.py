@@ -52,8 +52,8 @@ def shown(value: object) -> str:
     Examples:
         >>> shown("abc"), shown(0.5)
         ("'abc'", '0.5')
-        >>> len(shown("x" * 20_000_000)) < 300
-        True
+        >>> len(shown("x" * 20_000_000))
+        231
     """
     written = repr(value) if isinstance(value, str) else _container(value)
     return _cut(written, _VALUE)

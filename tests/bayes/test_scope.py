@@ -6,6 +6,7 @@ from torch import nn
 from torchrl.envs.utils import ExplorationType, set_exploration_type
 
 from bbq_torchrl.bayes import BayesLinear, BayesMLP, kl_divergence, weight_scope
+from bbq_torchrl.bayes.layers import local_weight_scope
 from bbq_torchrl.bayes.noise import NoisePool
 from bbq_torchrl.bayes.scope import current_scope
 
@@ -61,6 +62,14 @@ def test_given_weights_reach_only_their_module_or_posterior():
             assert first(x, "local").eq(4).all()
             assert not second(x, "mean").any()
     assert not first(x, "mean").any()
+
+
+def test_given_weights_are_used_in_a_scope_of_separate_draws_too():
+    net, x = BayesMLP(3, 2), torch.ones(4, 3)
+    with weight_scope(weights={net: net.draw_weights((4,))}):
+        given = net(x)
+        with local_weight_scope(net, x.shape[:1]):
+            assert torch.equal(net(x), given)
 
 
 @pytest.mark.parametrize("mode", ["draw", "local", "mean"])

@@ -124,3 +124,4 @@ def test_the_command_line_changes_settings_space_and_what_is_fixed():
     config = search.config({"agent.prior_std": 0.25, "agent.target": "mc"})
     assert (config.agent.lr, config.agent.prior_std, config.agent.target) == (2e-3, 0.25, "mc")
     assert config.replicas == 3
+    assert search.fixed.count("replicas=3") == 1  # the file has it too

@@ -223,6 +223,7 @@ def test_a_state_of_another_transform_is_refused(transforms):
             "observation",
         ),
         (lambda replay: replay.protect(), "capacity"),
+        (lambda replay: ReplicaReplay(0), "^capacity "),
         (lambda replay: ReplicaReplay(5).epoch(2), "replica"),
         (lambda replay: ReplicaReplay(5).compute("x", abs), "replica"),
         (lambda replay: replay.load_state_dict(filled(1).state_dict()), "replicas"),

@@ -48,7 +48,7 @@ def test_a_domain_none_of_whose_scripts_succeeds_is_refused_with_the_way_out(spi
 
 
 def test_a_script_of_a_later_round_is_passed_over_and_not_in_the_result(
-    spiking, restaurant, tmp_path, monkeypatch
+    spiking, restaurant, tmp_path, monkeypatch, caplog
 ):
     late = ScriptedPolicySpec("script", ("request(price_range)", "thanks"))
     policies = {"rule": late, "careful": CAREFUL}
@@ -57,6 +57,7 @@ def test_a_script_of_a_later_round_is_passed_over_and_not_in_the_result(
     domain = replace(restaurant, policies=policies)
     monkeypatch.setattr(type(config.domain), "make", lambda self: domain)
     assert run(config, tmp_path / "run").scripted.keys() == {"careful", "random"}
+    assert "price_range" in caplog.text  # it is told why
 
 
 def test_what_of_a_corpus_is_left_out_is_told(tmp_path, caplog, capsys):

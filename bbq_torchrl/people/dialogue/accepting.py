@@ -107,7 +107,7 @@ class Accepting:
         is_yes = beside is not None and is_known and not (requests or said.unclear)
         is_yes &= not (moves.says(text, "hesitates", "but") or self._asks_more(text, known))
         taken = replace(said, frame=frame, confidence=max(said.confidence, DOUBTFUL))
-        return taken, is_yes or moves.accepts(text)
+        return taken, is_yes
 
     def offered(
         self,

@@ -138,8 +138,8 @@ def has_bye(text: str) -> bool:
     """Returns whether a text takes leave in so many words.
 
     Examples:
-        >>> [has_bye(text) for text in ("thanks, bye", "thanks, that's all")]
-        [True, False]
+        >>> [has_bye(text) for text in ("thanks, bye", "see you!", "thanks, that's all")]
+        [True, True, False]
     """
     return _has_phrase(text, "bye")
 

@@ -72,6 +72,8 @@ def test_a_key_that_cannot_be_sent_is_told_before_a_run_is_looked_for(monkeypatc
     error = capsys.readouterr().err
     assert "endpoint's key" in error
     assert "secret" not in error
+    assert __main__.main(["nowhere", *endpoint[:4]]) == 2
+    assert "--model" in capsys.readouterr().err
 
 
 KEYS = {

@@ -66,6 +66,11 @@ def test_an_answer_is_taken_with_values_as_the_domain_spells_them(hear, server):
     path, token, body = server.asked[0]
     assert (path, token) == ("/v1/chat/completions", "Bearer secret")
     assert body["response_format"]["type"] == "json_schema"
+    parts = body["response_format"]["json_schema"]["schema"]["properties"]
+    assert {name: part["type"] for name, part in parts.items()} == {
+        **dict.fromkeys(("informs", "requests", "dont_care"), "array"),
+        "act": "string",
+    }
 
 
 def test_an_answer_is_as_sure_as_the_local_one_and_acted_on(hear, understand, server):

@@ -2,6 +2,7 @@ import json
 import os
 import sys
 from pathlib import Path
+from unittest.mock import Mock
 
 import forked
 import pytest
@@ -9,10 +10,20 @@ from acts import HOSTILE
 from tables import rows
 
 from bbq_torchrl.domains import movie_domain
-from bbq_torchrl.people.language import ANY, Frame, TextError, Understander, __main__, read_lines
+from bbq_torchrl.people.language import (
+    ANY,
+    Frame,
+    TextError,
+    Understander,
+    Understood,
+    __main__,
+    read_lines,
+)
+from bbq_torchrl.people.language.training_lines import Line
 from bbq_torchrl.people.language.understander import cached_understander
 
 DATA = Path(__file__).parents[2] / "data"
+TOLD = (("city", "reno"), ("date", "friday"))
 ANSWERS = read_lines(Path(__file__).with_name("answers.txt"), movie_domain())
 
 
@@ -165,6 +176,16 @@ def test_a_domain_of_ones_own_is_measured_by_what_it_has(tmp_path, monkeypatch, 
     assert __main__.main([*given, "--data", "said", "--out", "new/own.json"]) == 0
     assert "--data" not in capsys.readouterr().err
     assert json.loads(Path("new/own.json").read_text())["anna"]["sentences"] == 2
+
+
+def test_a_score_is_of_frames_pairs_and_the_surest(lexicon):
+    meant, half = (Frame("inform", dict(told)) for told in (TOLD, TOLD[:1]))
+    heard = [*[Understood(meant, 0.9)] * 4, Understood(half, 0.1)]
+    said = Mock(side_effect=heard, lexicon=lexicon, asks=lambda one: one.confidence < 0.5)
+    figures = __main__.score(said, [Line(None, "text", meant)] * 5)
+    assert (figures["frame"], figures["act"], figures["answered"]) == (0.8, 1.0, 0.8)
+    assert figures["slot_f1"] == 2 * 9 / (10 + 9)
+    assert figures["right_of_answered"] == figures["right_of_surest"] == 1.0
 
 
 def test_a_folder_without_labeled_sentences_is_refused_before_learning(tmp_path, monkeypatch):

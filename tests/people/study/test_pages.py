@@ -149,6 +149,9 @@ def test_a_rating_counts_once(site):
 def test_who_consents_is_enrolled_once(site):
     form = site.form(site.join)
     assert site.client.post(site.join, data=form).status_code == 422
+    site.store.rows("PRAGMA query_only = ON")  # nothing can be written
+    assert site.client.post(site.join, data={**form, "consent": "yes"}).status_code == 503
+    site.store.rows("PRAGMA query_only = OFF")
     assert site.store.progress()[0]["enrolled"] == 0
     links = {str(site.client.post(site.join, data={**form, "consent": "yes"}).url) for _ in "12"}
     assert len(links) == 1
