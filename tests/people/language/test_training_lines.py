@@ -10,6 +10,7 @@ from bbq_torchrl.people.language import Frame, Understander, read_lines
 from bbq_torchrl.people.language.__main__ import calibration_error, calibration_floor
 from bbq_torchrl.people.language.asking import FOREIGN, OPENING
 from bbq_torchrl.people.language.corpus import make_examples
+from bbq_torchrl.people.language.sentence_features import Features
 from bbq_torchrl.people.language.training_lines import Names, as_examples, make_foreign, varied
 from bbq_torchrl.people.language.understander import cached_understander
 from bbq_torchrl.people.language.words import ENGLISH
@@ -25,6 +26,19 @@ def test_the_sentences_that_measure_are_labeled_with_values_of_the_domain(lexico
         for _, _, frame in lines:
             for slot, value in frame.informs.items():
                 assert value == "I do not care" or value in lexicon.values(slot)
+
+
+def test_features_tell_quantities_and_classes_and_have_slots_for_values(lexicon):
+    words = ["want", "wonka", "on", "4/6", "at", "half", "past", "seven"]
+    features = Features(lexicon, words)
+    of_words = dict(zip(words, map(set, features.of_words(words, OPENING)), strict=True))
+    assert {"c=date", "date:B", "1:w=at"} <= of_words["4/6"]
+    assert {"-1:date:B", "2:w=past"} <= of_words["at"]
+    assert {"time:I", "-1:time:B"} <= of_words["past"]
+    tags = ["-", "moviename", "-", "date", "-", *["starttime"] * 3]
+    of_sentence = features.of_sentence(words, tags, OPENING)
+    assert {"2=<moviename>_on", "3=at_<starttime>_$", "S=date"} <= {*of_sentence}
+    assert not {"1=wonka", "1=half", "1=past"} & {*of_sentence}
 
 
 @pytest.mark.parametrize(("text", "meaning", "tags"), rows(__file__, "lines.txt"))
