@@ -177,6 +177,8 @@ class Partner:
             or (not is_about and is_no(told.rest))
             or (moves.accepts(told.rest) and (before.is_offered or not told.is_yes))
         )
+        if is_only and (found := self._on_file(now, reading, told.values, words)):
+            return _led(found, told.text)
         asks = moves.says(told.rest, "question", "others")
         if is_only or not (asks or self._is_news(record, reading.frame, text)):
             stands = self._nlg.say("stands", **words) if is_about else ""
@@ -195,6 +197,14 @@ class Partner:
             text=answer.text if is_told else f"{told.text} {answer.text}".strip(),
             answered=replace(answer.answered, act="inform", informs=informs),
         )
+
+    def _on_file(
+        self, now: Memory, reading: Understood, told: Mapping[str, str], words: dict[str, Any]
+    ) -> Answer | None:
+        """Returns the proposal of a showing that has what is not on file for another, if any."""
+        slots = [slot for slot in self.domain.essential if told.get(slot) == NO_MATCH_TEXT]
+        has_way_out = bool(slots) and "way_out" in self.control.rules
+        return self._ways_out.on_file(now, reading, words, slots) if has_way_out else None
 
     def _back(self, before: Memory, now: Memory, text: str, words: dict[str, Any]) -> Answer | None:
         """Returns the proposal of a showing that a text goes back to, and answers beside it."""
@@ -519,12 +529,17 @@ class Partner:
             now = replace(now, state=state)
             found = self._ways_out.alternative(now, reading, words, asked, is_refused=False)
             return replace(found, understood=understood)
+        sentences = [self._nlg.agent(act, kept, **words) for act, kept in acted.parts]
+        if state is not None:
+            told = {s: v for act, _ in acted.parts for s, v in act.informs.items() if s in asked}
+            found = self._on_file(replace(now, state=state), reading, told, words)
+            if found is not None:
+                return _led(replace(found, understood=understood), sentences[0])
         answered, now = acted.answered, replace(now, state=acted.state, proposal={}, times=0)
         if is_denied and bool(acted.state["offered"]):
             names = list(values_of(self._tracking.kept(acted.state)))[:_MAX_NAMED]
             return self._say(now, self._nlg.say("change", names, **words), reading)
         ended = "agent" if answered.act in ("thanks", "closing") else ""
-        sentences = [self._nlg.agent(act, kept, **words) for act, kept in acted.parts]
         if ended and (is_booked or (is_offered and acted.understood.act == "thanks")):
             booked = self._tracking.values(acted.state["held"])
             sentences[:-1] = [self._nlg.say("booked", values=booked, **words)]

@@ -188,6 +188,7 @@ class Records:
         refused: Iterable[Sequence[tuple[int, int]]] = (),
         *,
         asked: Sequence[int] = (),
+        has: Sequence[int] = (),
         slot: int | None = None,
         direction: int = 0,
         stays: Tensor | None = None,
@@ -202,6 +203,7 @@ class Records:
             held: long ``[S]``, value ids.
             refused: differences that the person refused.
             asked: slots that the record should have.
+            has: slots that it must have.
             slot: a slot that must differ; ``None`` for any.
             direction: 1 for a later, -1 for an earlier time.
             stays: bool ``[S]``, slots that may not differ, but for ``slot``.
@@ -232,6 +234,7 @@ class Records:
             if direction and not minutes[held[number]].isnan():
                 cost += torch.where(away * direction > 0, 0.0, torch.inf)
         is_out = ~exactly.any(-1) if slot is None else ~exactly[:, slot]
+        is_out |= ~self.has[:, list(has)].all(-1)
         if stays is not None:
             stays = stays & (torch.arange(len(held)) != slot)
             is_out |= ((others[0] | others[1]) & stays).any(-1)

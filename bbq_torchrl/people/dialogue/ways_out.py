@@ -302,6 +302,25 @@ class WaysOut:
             change = self._records.nearest(full(now.state), asked=asked)
         return self.propose(now, reading, change, words, asked)
 
+    def on_file(
+        self, now: Memory, reading: Understood, words: dict[str, Any], slots: Sequence[str]
+    ) -> Answer | None:
+        """Returns the proposal of the nearest record in the same place that has all of some slots.
+
+        Args:
+            now: the memory, with the state after the person's act.
+            reading: the meaning of the text.
+            words: what determines the words.
+            slots: the slots.
+        """
+        assert now.state is not None
+        asked, here = [self._slots.index(slot) for slot in slots], self._records
+        stays, refused = here.lasting & ~here.opening, self.refused(now)
+        change = here.nearest(full(now.state), refused, has=asked, stays=stays)
+        found = self.propose(now, reading, change, words, asked)
+        proposal = found.memory.proposal
+        return found if proposal.keys() >= {*slots} and proposal != now.proposal else None
+
     def narrowed(
         self, reading: Understood, text: str, held: Mapping[str, str], record: Mapping[str, str]
     ) -> Understood:

@@ -36,6 +36,7 @@ _DENIED_BEFORE, _DENIED_AFTER = (
     for name in ("denied_before", "denied_after")
 )
 _NO = re.compile(ENGLISH["denied_by_no"])
+_NO_COUNT = re.compile(ENGLISH["no_count"])
 
 
 def assemble(
@@ -91,7 +92,16 @@ def assemble(
 
 
 def _whole_quantities(words: Sequence[str], spans: Sequence[Span], lexicon: Lexicon) -> list[Span]:
-    """Returns tagged spans, each in the quantity that it is a part of: "2 adults and a kid"."""
+    """Returns tagged spans, each in the quantity that it is a part of: "2 adults and a kid".
+
+    "Three and a half hours" and "one of the earlier ones" are no numbers of people.
+    """
+    spans = [
+        span
+        for span in spans
+        if lexicon.kinds[span.slot] != "count"
+        or not _NO_COUNT.match(" ".join(words[span.start : span.end + _MAX_AFTER]))
+    ]
     names = lexicon.full_names(words) if spans else []
     sure = [name for name in names if sure_kind(" ".join(words[name.start : name.end]))]
     whole = {

@@ -51,7 +51,7 @@ _COMPANION = (
 _SURE: dict[Kind, re.Pattern[str]] = {
     "count": re.compile(
         rf"{NUMBER} of us|an? (?:group|party) of {NUMBER}"
-        rf"|{_COMPANION} and (?:i|me)|(?:me|i) and {_COMPANION}|{PARTY.pattern}"
+        rf"|{_COMPANION} (?:and|n|&) (?:i|me)|(?:me|i) (?:and|n|&) {_COMPANION}|{PARTY.pattern}"
         rf"|(?:i am|i'm) alone|(?:we are|we're) {_MEMBER}"
     ),
     "time": re.compile(rf"(?:at )?\d[\d:.]* [ap]\.?m\.?|at {NUMBER}"),
