@@ -6,11 +6,13 @@ dialogue acts are known.
 
 from __future__ import annotations
 
+import math
 import random
 from collections import defaultdict
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, RESERVED_TEXT, fold
+from bbq_torchrl.people.language.quantities import minutes_of, of_evening, span_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -48,7 +50,7 @@ class Judge:
     A conversation is a success if
 
     1. the last offer of a booking has every wish of the goal card, or all records that it may book
-       have it,
+       have it; a time has a vague one that it is in, as "after 6 pm",
     2. that offer says that there is a ticket,
     3. every question of the card was answered at some time, by itself or in an offer, and one
        record of the knowledge base has all wishes and, for every question, one of the answers,
@@ -138,8 +140,14 @@ class Judge:
         return self._all.intersection(*wanted)
 
     def _having(self, slot: str, values: Iterable[str]) -> set[int]:
-        """Returns the records that have one of the values."""
-        return set().union(*(self._rows.get((slot, value), ()) for value in values))
+        """Returns the records that have one of the values, or a time in it, as "after 6 pm"."""
+        found = set().union(*(self._rows.get((slot, value), ()) for value in values))
+        spans = [] if self._as_simulated else list(filter(None, map(span_of, values)))
+        for (own, time), rows in self._rows.items() if spans else ():
+            minutes = of_evening(minutes_of(time)) if own == slot else math.nan
+            if any(first <= minutes <= last for first, last in spans):
+                found |= rows
+        return found
 
     def _has_wishes(self, offer: Mapping[str, str], wishes: Mapping[str, str]) -> bool:
         """Returns whether an offer says each wish, or all records that it may book have it."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from itertools import combinations
-from math import isnan
 from typing import TYPE_CHECKING
 
 import torch
@@ -16,7 +15,7 @@ from bbq_torchrl.people.language.quantities import (
     kind_of,
     minutes_of,
     of_evening,
-    read_time,
+    span_of,
 )
 
 if TYPE_CHECKING:
@@ -28,8 +27,6 @@ if TYPE_CHECKING:
 
 _EVIDENCE = 8  # values of a slot with several records, each with one value of the determined slot
 _SAMPLE = 100  # values that tell a slot's kind
-PART = 150
-"""Minutes from the middle of a part of the day: "in the evening" is from 4:30 to 9:30 pm."""
 _RARE = 1 / 8
 """A slot that goals constrain less often than this share of the most frequent one is minor."""
 _COSTS = {"time": 1, "date": 2, "price": 2, "count": 2, "text": 3}
@@ -156,13 +153,12 @@ class Records:
         return differs, lacks, distance
 
     def parts(self, held: Tensor) -> dict[int, Tensor]:
-        """Returns, for each part of the day held, which records have a time in it, bool ``[R]``."""
+        """Returns, for each vague time held, which records have a time in it, bool ``[R]``."""
         found = {}
         for number, minutes in self._minutes.items():
-            wish = self.vocabulary[number][held[number]]
-            middle = about_minutes(wish)
-            if read_time(wish) is None and not isnan(middle):
-                found[number] = (minutes[self._values[:, number]] - middle).abs() <= PART
+            if (span := span_of(self.vocabulary[number][held[number]])) is not None:
+                times = minutes[self._values[:, number]]
+                found[number] = (times >= span[0]) & (times <= span[1])
         return found
 
     def _misses(self, held: Tensor) -> tuple[Tensor, Tensor]:

@@ -9,16 +9,18 @@ from math import inf
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.values import RESERVED_TEXT, fold
-from bbq_torchrl.people.dialogue.records import PART, completed
+from bbq_torchrl.people.dialogue.records import completed
 from bbq_torchrl.people.language import Unclear
 from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.quantities import (
     PART_WORDS,
+    SPANS,
     about_minutes,
     day_of,
     minutes_of,
     of_evening,
     read_time,
+    span_of,
 )
 from bbq_torchrl.people.language.words import tokenize
 
@@ -30,7 +32,6 @@ if TYPE_CHECKING:
 
 _RESERVED = frozenset(fold(text) for text in RESERVED_TEXT.values())
 _LATER = PART_WORDS - {"morning"} | {"tonight"}
-_SPANS = {"at": (0, 0), "around": (-60, 60), "after": (1, inf), "before": (-inf, -1)}  # minutes
 _CLOSE = 0.8  # the score of a name that fits
 _PART = re.compile(r"\b(morning|afternoon|evening) (?:show|screening|session|time|slot|one)")
 _CLOCK = 4  # words of a time: "half past eleven"
@@ -151,7 +152,7 @@ class Spelling:
         times = [value for value in lexicon.values(slot) if self._has(slot, value)]
         to = of_evening(minutes_of(f"at {clock}"))
         away = {value: of_evening(minutes_of(value)) - to for value in times}
-        spans = (_SPANS[one] for one in (relation, "around"))
+        spans = (SPANS[one] for one in (relation, "around"))
         exact, near = ([v for v in times if low <= away[v] <= high] for low, high in spans)
         # No record has "at 6", but one has "around 6".
         fit = exact or [v for v in times if read_time(v) == f"around {clock}"] or near
@@ -160,13 +161,13 @@ class Spelling:
     def is_meant(self, slot: str, said: str, own: str) -> bool:
         """Returns whether a record's value is what a person means by another.
 
-        "Around 7" means 7, "in the evening" any time in it.
+        "Around 7" means a time near 7, "in the evening" any time in it.
         """
         key, kind = self.lexicon.key, self.lexicon.kinds.get(slot)
         if kind == "time" and read_time(own):
-            if read_time(said):
-                return about_minutes(said) == about_minutes(own)
-            return abs(about_minutes(said) - of_evening(minutes_of(own))) <= PART
+            first, last = span_of(said) or (inf, inf)
+            is_in = first <= of_evening(minutes_of(own)) <= last
+            return is_in or about_minutes(said) == about_minutes(own)
         is_day = kind == "date" and fold(said) in (day_of(own), day_of(own).removeprefix("next "))
         return is_day or key(slot, own) == key(slot, said)
 

@@ -138,7 +138,16 @@ RELATION_WORDS = frozenset(
 
 _BEFORE_NOON = frozenset(("am", "a.m", "a.m.", "morning"))
 _AFTER_NOON = frozenset(("pm", "p.m", "p.m.", "afternoon", "evening", "night", "tonight"))
+SPANS = {
+    "at": (0.0, 0.0),
+    "around": (-60.0, 60.0),
+    "after": (1.0, math.inf),
+    "before": (-math.inf, -1.0),
+}
+"""The minutes from an hour that a relation to it allows."""
+
 _HOURS = {"morning": 10, "matinee": 14, "afternoon": 15, "evening": 19, "tonight": 19, "night": 21}
+_OF_PART = 150  # minutes from the middle of a part of the day: evening is from 4:30 to 9:30 pm
 _NIGHT = 240  # minutes: until 4 am it is still the evening
 _NAMED_TIMES = {"noon": "12:00", "midday": "12:00", "midnight": "00:00"}
 _RELATION = re.compile(
@@ -201,13 +210,33 @@ def about_minutes(text: str) -> float:
     """Returns the minutes from midnight near a time or a part of the day; NaN of neither.
 
     Examples:
-        >>> [about_minutes(text) / 60 for text in ("at 7 pm", "after 6pm", "in the evening")]
+        >>> [about_minutes(text) / 60 for text in ("at 7 pm", "after 6", "in the evening")]
         [19.0, 19.0, 19.0]
     """
-    if read := read_time(text):
+    if read := (read_time(text) or "").rstrip("?"):
         relation, clock = read.split()
         return minutes_of(clock) + {"after": 60, "before": -60}.get(relation, 0)
     return next((60.0 * _HOURS[word] for word in tokenize(text) if word in _HOURS), math.nan)
+
+
+def span_of(text: str) -> tuple[float, float] | None:
+    """Returns the first and the last minute of a vague time; ``None`` of a clock time or neither.
+
+    A time is vague if it is a part of the day, or around, after or before an hour.
+
+    Examples:
+        >>> span_of("in the evening"), span_of("after 6pm"), span_of("6:30 pm")
+        ((990.0, 1290.0), (1081.0, inf), None)
+    """
+    relation, _, clock = (read_time(text) or "").rstrip("?").partition(" ")
+    if relation == "at":
+        return None
+    if not clock:
+        middle = about_minutes(text)
+        return None if math.isnan(middle) else (middle - _OF_PART, middle + _OF_PART)
+    hour = of_evening(minutes_of(clock))
+    first, last = SPANS[relation]
+    return hour + first, hour + last
 
 
 def of_evening(minutes: float) -> float:

@@ -55,6 +55,17 @@ def test_a_wish_without_preference_is_met_by_any_offer(judge):
         assert not judge.reasons(goal, [*exchanges([offer])])
 
 
+@pytest.mark.parametrize(
+    ("wish", "is_met"), [("in the evening", True), ("before 7", True), ("after 7", False)]
+)
+def test_a_vague_time_is_met_by_a_time_in_it_but_not_for_simulated_users(wish, is_met):
+    goal = Goal({"moviename": "wonka", "date": wish})
+    domain = small_domain(goal, records=[{"moviename": "wonka", "date": "6:40 pm"}])
+    said = [*exchanges(["inform(moviename=wonka, date=6:40 pm, taskcomplete=ticket available)"])]
+    assert Judge(domain).reasons(goal, said) == (() if is_met else ("wishes", "questions"))
+    assert "wishes" in Judge(domain, as_simulated=True).reasons(goal, said)
+
+
 def test_goals_are_attainable_where_one_record_has_it_all(judge):
     assert judge.is_attainable(GOAL)
     assert not judge.is_attainable(Goal({"moviename": "deadpool", "city": "austin"}))
