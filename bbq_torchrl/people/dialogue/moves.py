@@ -45,6 +45,7 @@ _NEXT = re.compile(
 _PIECE = re.compile(r"[^,.;!?]+[,.;!?]*")
 _AND = re.compile(rf"(?:{_CLAUSE.pattern})(?:and |also |plus )*| (?:and|also|plus|&) ")
 _WHERE = re.compile(r" (?:in|at|on|near) ")
+_NOTHING = re.compile(r"\bnothing\b(?=[^.;!?]*\?)", re.IGNORECASE)
 _LONGEST = 6  # words of a value
 
 
@@ -267,15 +268,18 @@ def without_verbs(text: str) -> str:
     return _FIND["verb"].sub(" ", _words(text))
 
 
-def without_complaint(text: str) -> str:
-    """Returns a text without what it says of a time that is too late, if it says more.
+def plain(text: str) -> str:
+    """Returns a text that asks for anything where it asks for nothing, and without a complaint.
+
+    A complaint is what it says of a time that is too late, if it says more.
 
     Examples:
-        >>> without_complaint("9 is too late for children. the 2:35, is it still there?")
+        >>> plain("is there nothing in the evening?"), plain("9:20 is a bit late")
+        ('is there anything in the evening?', '9:20 is a bit late')
+        >>> plain("9 is too late for children. the 2:35, is it still there?")
         '. the 2:35 , is it still there ?'
-        >>> without_complaint("9:20 is a bit late")
-        '9:20 is a bit late'
     """
+    text = _NOTHING.sub("anything", text)
     rest = _FIND["complaint"].sub("", _words(text))
     is_more = rest != _words(text) and (any(map(str.isdigit, rest)) or says(rest, "but_yes"))
     return rest.strip() if is_more else text

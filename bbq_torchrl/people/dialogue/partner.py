@@ -141,7 +141,7 @@ class Partner:
         told, untold, whole = Told("", {}, text), "", text
         try:
             if "answers_first" in rules:
-                text = moves.without_complaint(text)
+                text = moves.plain(text)
             if "drop" in rules and moves.says(text, "restart"):
                 sentence = self._nlg.say("restart", **words)
                 greeting = self._nlg.agent(Frame("request"), **words)

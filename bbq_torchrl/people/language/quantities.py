@@ -146,7 +146,7 @@ SPANS = {
 }
 """The minutes from an hour that a relation to it allows."""
 
-_HOURS = {"morning": 10, "matinee": 14, "afternoon": 15, "evening": 19, "tonight": 19, "night": 21}
+_HOURS = {"morning": 10, "matinee": 14, "afternoon": 15, "evening": 19, "tonight": 19, "night": 21, "work": 19}
 _OF_PART = 150  # minutes from the middle of a part of the day: evening is from 4:30 to 9:30 pm
 _NIGHT = 240  # minutes: until 4 am it is still the evening
 _NAMED_TIMES = {"noon": "12:00", "midday": "12:00", "midnight": "00:00"}
