@@ -127,8 +127,14 @@ def begins_with(text: str, words: str) -> bool:
 
 
 def ends_in_yes(text: str) -> bool:
-    """Returns whether the last words of a text accept: "oh well, yes", but not "two, please"."""
-    return _is_yes("".join(_PIECE.findall(_words(text))[-1:]))
+    """Returns whether the last words, or the last sentence, accept: "oh well, yes".
+
+    Examples:
+        >>> [ends_in_yes(text) for text in ("oh well, yes", "two, please", "Friday. We accept, thanks")]
+        [True, False, True]
+    """
+    last = _PIECE.findall(_words(text))[-1:], _SENTENCE.findall(_words(text))[-1:]
+    return any(map(_is_yes, map("".join, last)))
 
 
 def takes(text: str) -> bool:

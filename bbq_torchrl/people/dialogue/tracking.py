@@ -271,7 +271,9 @@ class Acting:
         if not bool(offer.state["offered"]):
             return offer
         end = self.reply(offer.state, Frame("thanks"), seed)
-        return replace(end, understood=understood, parts=(*offer.parts, *end.parts))
+        is_end = end.answered.act in ("thanks", "closing")  # no question was open
+        parts = (*offer.parts, *end.parts) if is_end else end.parts
+        return replace(end, understood=understood, parts=parts)
 
     def reply(
         self,

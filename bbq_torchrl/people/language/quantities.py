@@ -136,7 +136,8 @@ RELATION_WORDS = frozenset(
     ("after", "before", "around", "about", "past", "quarter", "half", "until")
 )
 
-_BEFORE_NOON = frozenset(("am", "a.m", "a.m.", "morning"))
+_AM = frozenset(("am", "a.m", "a.m."))
+_BEFORE_NOON = _AM | {"morning"}
 _AFTER_NOON = frozenset(("pm", "p.m", "p.m.", "afternoon", "evening", "night", "tonight"))
 SPANS = {
     "at": (0.0, 0.0),
@@ -146,7 +147,15 @@ SPANS = {
 }
 """The minutes from an hour that a relation to it allows."""
 
-_HOURS = {"morning": 10, "matinee": 14, "afternoon": 15, "evening": 19, "tonight": 19, "night": 21, "work": 19}
+_HOURS = {
+    "morning": 10,
+    "matinee": 14,
+    "afternoon": 15,
+    "evening": 19,
+    "tonight": 19,
+    "night": 21,
+    "work": 19,
+}
 _OF_PART = 150  # minutes from the middle of a part of the day: evening is from 4:30 to 9:30 pm
 _NIGHT = 240  # minutes: until 4 am it is still the evening
 _NAMED_TIMES = {"noon": "12:00", "midday": "12:00", "midnight": "00:00"}
@@ -185,7 +194,8 @@ def read_time(text: str) -> str | None:
         return f"{relation} {_NAMED_TIMES[kept[0]]}"
     shift = None
     if len(kept) < len(words):
-        shift = 0 if _AFTER_NOON.isdisjoint(words) else 12
+        is_am = _AFTER_NOON.isdisjoint(words) or not _AM.isdisjoint(words)  # "tonight 10:05 am"
+        shift = 0 if is_am else 12
         if len(kept) == 2 and _read_clock(kept) is None:
             kept.insert(1, "oh")  # "ten five pm"
     clock = _read_clock(kept)
