@@ -12,7 +12,6 @@ from collections import defaultdict
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, RESERVED_TEXT, fold
-from bbq_torchrl.people.language.quantities import minutes_of, of_evening, span_of
 
 if TYPE_CHECKING:
     from collections.abc import Iterable, Mapping
@@ -141,6 +140,9 @@ class Judge:
 
     def _having(self, slot: str, values: Iterable[str]) -> set[int]:
         """Returns the records that have one of the values, or a time in it, as "after 6 pm"."""
+        # Imported here: the language loads torch, which a study's report needs not.
+        from bbq_torchrl.people.language.quantities import minutes_of, of_evening, span_of
+
         found = set().union(*(self._rows.get((slot, value), ()) for value in values))
         spans = [] if self._as_simulated else list(filter(None, map(span_of, values)))
         for (own, time), rows in self._rows.items() if spans else ():

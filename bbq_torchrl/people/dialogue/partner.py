@@ -532,9 +532,9 @@ class Partner:
         sentences = [self._nlg.agent(act, kept, **words) for act, kept in acted.parts]
         if state is not None:
             told = {s: v for act, _ in acted.parts for s, v in act.informs.items() if s in asked}
-            found = self._on_file(replace(now, state=state), reading, told, words)
-            if found is not None:
-                return _led(replace(found, understood=understood), sentences[0])
+            other = self._on_file(replace(now, state=state), reading, told, words)
+            if other is not None:
+                return _led(replace(other, understood=understood), sentences[0])
         answered, now = acted.answered, replace(now, state=acted.state, proposal={}, times=0)
         if is_denied and bool(acted.state["offered"]):
             names = list(values_of(self._tracking.kept(acted.state)))[:_MAX_NAMED]
