@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.people.dialogue.hearing import Hearing
     from bbq_torchrl.people.dialogue.spelling import Spelling
-    from bbq_torchrl.people.language import EndpointGenerator, Generator, Understood
+    from bbq_torchrl.people.language import EndpointGenerator, Generator, Unclear, Understood
 
 
 @dataclass(frozen=True)
@@ -125,7 +125,8 @@ class Questions:
         if any(not one.candidates and kinds[one.slot] != "text" for one in reading.unclear):
             return self._nlg.say("unknown_question", **words), {}, True  # "Is the 14th a weekend?"
         meant = {slot: [value] for slot, value in reading.frame.informs.items()}
-        meant |= {one.slot: [*one.candidates] or [one.text] for one in reading.unclear}
+        names = self._names(reading)
+        meant |= {one.slot: [*one.candidates] or [one.text] for one in names}
         if any(record.get(slot, v[0]) not in v for slot, v in meant.items() if slot in self._free):
             return None
         meant = {slot: v for slot, v in meant.items() if slot not in self._free}
@@ -226,12 +227,18 @@ class Questions:
         if moves.says(sentence, "running") or not moves.says(sentence, "whether", "perk"):
             return False
         reading = reading or self._hear(sentence, None)
-        if reading.frame.informs or reading.unclear:
+        if reading.frame.informs or self._names(reading):
             return False
         asked = {*reading.frame.requests} - self._free
         is_named = bool(asked) and asked <= {*self._spelling.named(sentence, asked)}
         is_guess = reading.frame.act == "confirm_question" or self._hear.is_unsure(reading)
         return is_guess and not is_named
+
+    @staticmethod
+    def _names(reading: Understood) -> list[Unclear]:
+        """Returns the unclear names that may mean something, or all of a sure reading."""
+        is_sure = reading.confidence >= DOUBTFUL
+        return [one for one in reading.unclear if one.candidates or is_sure]
 
     def _is_of(self, sentence: str, meant: Mapping[str, Sequence[str]]) -> bool:
         """Returns whether a question is of something named, as "is the 2:40 one left?"."""
