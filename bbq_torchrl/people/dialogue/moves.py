@@ -133,8 +133,8 @@ def ends_in_yes(text: str) -> bool:
         >>> [ends_in_yes(text) for text in ("oh well, yes", "two, please", "Friday. We accept")]
         [True, False, True]
     """
-    last = _PIECE.findall(_words(text))[-1:], _SENTENCE.findall(_words(text))[-1:]
-    return any(map(_is_yes, map("".join, last)))
+    words = _words(text)
+    return any(_is_yes("".join(part.findall(words)[-1:])) for part in (_PIECE, _SENTENCE))
 
 
 def takes(text: str) -> bool:

@@ -177,8 +177,10 @@ class Partner:
             or (not is_about and is_no(told.rest))
             or (moves.accepts(told.rest) and (before.is_offered or not told.is_yes))
         )
-        if is_only and (found := self._on_file(now, reading, told.values, words)):
-            return _led(found, told.text)
+        if is_only and "way_out" in rules:
+            found = self._ways_out.on_file(now, reading, words, told.values)
+            if found is not None:
+                return _led(found, told.text)
         asks = moves.says(told.rest, "question", "others")
         if is_only or not (asks or self._is_news(record, reading.frame, text)):
             stands = self._nlg.say("stands", **words) if is_about else ""
@@ -197,14 +199,6 @@ class Partner:
             text=answer.text if is_told else f"{told.text} {answer.text}".strip(),
             answered=replace(answer.answered, act="inform", informs=informs),
         )
-
-    def _on_file(
-        self, now: Memory, reading: Understood, told: Mapping[str, str], words: dict[str, Any]
-    ) -> Answer | None:
-        """Returns the proposal of a showing that has what is not on file for another, if any."""
-        slots = [slot for slot in self.domain.essential if told.get(slot) == NO_MATCH_TEXT]
-        has_way_out = bool(slots) and "way_out" in self.control.rules
-        return self._ways_out.on_file(now, reading, words, slots) if has_way_out else None
 
     def _back(self, before: Memory, now: Memory, text: str, words: dict[str, Any]) -> Answer | None:
         """Returns the proposal of a showing that a text goes back to, and answers beside it."""
@@ -532,7 +526,7 @@ class Partner:
         sentences = [self._nlg.agent(act, kept, **words) for act, kept in acted.parts]
         if state is not None:
             told = {s: v for act, _ in acted.parts for s, v in act.informs.items() if s in asked}
-            other = self._on_file(replace(now, state=state), reading, told, words)
+            other = self._ways_out.on_file(replace(now, state=state), reading, words, told)
             if other is not None:
                 return _led(replace(other, understood=understood), sentences[0])
         answered, now = acted.answered, replace(now, state=acted.state, proposal={}, times=0)

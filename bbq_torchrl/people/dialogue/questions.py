@@ -251,10 +251,7 @@ class Questions:
         """Returns the slot of a record that has one of some values of a slot, or it in a name."""
         if f" {record.get(of)} " in f" {values[0]} ":  # "great according to"
             return of
-        kinds = self._spelling.lexicon.kinds
         for slot, own in record.items():
-            if slot != of and kinds.get(slot) == "count":
-                continue  # "3 pm" is not three people
             if any(is_in(v, own) or self._spelling.is_meant(slot, v, own) for v in values):
                 return slot
         return None

@@ -21,6 +21,7 @@ from bbq_torchrl.people.language.quantities import (
     of_evening,
     read_time,
     span_of,
+    sure_kind,
 )
 from bbq_torchrl.people.language.words import tokenize
 
@@ -169,7 +170,8 @@ class Spelling:
             is_in = first <= of_evening(minutes_of(own)) <= last
             return is_in or about_minutes(said) == about_minutes(own)
         is_day = kind == "date" and fold(said) in (day_of(own), day_of(own).removeprefix("next "))
-        return is_day or key(slot, own) == key(slot, said)
+        is_other = sure_kind(said) not in (None, kind)  # "3 pm" is not three people
+        return is_day or (key(slot, own) == key(slot, said) and not is_other)
 
     def as_in(
         self, record: Mapping[str, str], text: str, values: Mapping[str, str]

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import torch
 
-from bbq_torchrl.domains.frames import ANY
+from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT
 from bbq_torchrl.domains.values import FIRST_VALUE, NONE
 from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.exchange import Answer, values_of
@@ -303,23 +303,25 @@ class WaysOut:
         return self.propose(now, reading, change, words, asked)
 
     def on_file(
-        self, now: Memory, reading: Understood, words: dict[str, Any], slots: Sequence[str]
+        self, now: Memory, reading: Understood, words: dict[str, Any], told: Mapping[str, str]
     ) -> Answer | None:
-        """Returns the proposal of the nearest record in the same place that has all of some slots.
+        """Returns the proposal of a record here that has what is not on file for another, if any.
 
         Args:
             now: the memory, with the state after the person's act.
             reading: the meaning of the text.
             words: what determines the words.
-            slots: the slots.
+            told: the answers to the text, by slot.
         """
         assert now.state is not None
-        asked, here = [self._slots.index(slot) for slot in slots], self._records
-        stays, refused = here.lasting & ~here.opening, self.refused(now)
-        change = here.nearest(full(now.state), refused, has=asked, stays=stays)
+        needed = self._spelling.domain.essential
+        asked = [self._slots.index(slot) for slot in needed if told.get(slot) == NO_MATCH_TEXT]
+        if not asked:
+            return None
+        held, here = full(now.state), self._records.lasting & ~self._records.opening
+        change = self._records.nearest(held, self.refused(now), has=asked, stays=here)
         found = self.propose(now, reading, change, words, asked)
-        proposal = found.memory.proposal
-        return found if proposal.keys() >= {*slots} and proposal != now.proposal else None
+        return found if found.memory.proposal not in ({}, now.proposal) else None
 
     def narrowed(
         self, reading: Understood, text: str, held: Mapping[str, str], record: Mapping[str, str]
