@@ -72,8 +72,12 @@ def assemble(
         is_bare = act in ("inform", "deny") and not spans  # though it may name something
         for span in lexicon.full_names(left, asked if is_bare else None):
             around = (*words[max(span.start - 1, 0) : span.start], *words[span.end : span.end + 1])
-            is_sure = sure_kind(" ".join(words[span.start : span.end]))
-            if is_bare or is_sure or "or" in around:  # "Seattle or Portland"
+            is_tagged = span.slot in [tagged.slot for tagged in spans]
+            is_sure = sure_kind(" ".join(words[span.start : span.end])) and not is_tagged
+            # A name of several words is nothing else.
+            is_sure = is_sure or span.end - span.start > _SHORT - 1
+            is_named = is_bare or is_sure or "or" in around  # "Seattle or Portland"
+            if is_named and not _is_no_count(words, span, lexicon):
                 spans.append(span)
         spans.sort(key=lambda span: span.start)
     informs, unclear = values_of(words, spans, lexicon)
@@ -92,23 +96,26 @@ def assemble(
 
 
 def _whole_quantities(words: Sequence[str], spans: Sequence[Span], lexicon: Lexicon) -> list[Span]:
-    """Returns tagged spans, each in the quantity that it is a part of: "2 adults and a kid".
-
-    "Three and a half hours" and "one of the earlier ones" are no numbers of people.
-    """
-    spans = [
-        span
-        for span in spans
-        if lexicon.kinds[span.slot] != "count"
-        or not _NO_COUNT.match(" ".join(words[span.start : span.end + _MAX_AFTER]))
-    ]
+    """Returns tagged spans, each in the quantity that it is a part of: "2 adults and a kid"."""
+    spans = [span for span in spans if not _is_no_count(words, span, lexicon)]
     names = lexicon.full_names(words) if spans else []
     sure = [name for name in names if sure_kind(" ".join(words[name.start : name.end]))]
     whole = {
         next((name for name in sure if name.start <= at.start and at.end <= name.end), at)
         for at in spans
     }
+    counts = [at for at in whole if lexicon.kinds[at.slot] == "count"]
+    if len(counts) > 1:  # "a family of four, with 2 kids"
+        whole -= {at for at in counts if words[at.start] == "with"}
     return sorted(whole, key=lambda span: span.start)
+
+
+def _is_no_count(words: Sequence[str], span: Span, lexicon: Lexicon) -> bool:
+    """Returns whether words are no number of people, as "one of the earlier ones", "3 hours"."""
+    own = " ".join(words[span.start : span.end])
+    said = " ".join(words[span.start : span.end + _MAX_AFTER])
+    is_none = _NO_COUNT.search(own) or _NO_COUNT.match(said)
+    return lexicon.kinds[span.slot] == "count" and is_none is not None
 
 
 def chosen(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | None:

@@ -113,6 +113,10 @@ class Lexicon:
         """Returns the key of every name of a slot's values: their spellings, then other names."""
         keys = {value: self.key(slot, value) for value in self._values[slot]}
         known = set(keys.values())
+        parts = Counter(part for value in keys for part in _parts_of(value))
+        for value in [*keys] if self.kinds[slot] == "text" else ():
+            own = (part for part in _parts_of(value) if parts[part] == 1)
+            keys = dict.fromkeys(own, keys[value]) | keys
         for value, others in self.phrases.slots[slot].aliases.items():
             if (key := self.key(slot, value)) in known:
                 keys |= dict.fromkeys(others, key)
@@ -260,6 +264,12 @@ class Lexicon:
         best = ranked[0][1]
         ties = [key for key, score in ranked[:_MAX_TIES] if score > best - _CLOSE]
         return Link(tuple(self._spelled[slot][key] for key in ties), best)
+
+
+def _parts_of(title: str) -> list[str]:
+    """Returns the parts of a title of more than two words: "the way of water"."""
+    parts = re.split(r":\s+", title)
+    return [part for part in parts if len(parts) > 1 and part.count(" ") > 1]
 
 
 def _places(words: Sequence[str]) -> list[range]:

@@ -50,11 +50,12 @@ _COMPANION = (
 )
 _SURE: dict[Kind, re.Pattern[str]] = {
     "count": re.compile(
-        rf"{NUMBER} of us|an? (?:group|party) of {NUMBER}"
+        rf"{NUMBER} (?:of us|seats?)|(?:an? )?(?:{'|'.join(ENGLISH['groups'].split())}) of {NUMBER}"
+        rf"|with (?:(?:my|our) )?{NUMBER} (?:{'|'.join(sorted(_COMPANIES))})"
         rf"|{_COMPANION} (?:and|n|&) (?:i|me)|(?:me|i) (?:and|n|&) {_COMPANION}|{PARTY.pattern}"
         rf"|(?:i am|i'm) alone|(?:we are|we're) {_MEMBER}"
     ),
-    "time": re.compile(rf"(?:at )?\d[\d:.]* [ap]\.?m\.?|at {NUMBER}"),
+    "time": re.compile(rf"(?:at )?\d[\d:.]* [ap]\.?m\.?|at {NUMBER}|(?:the )?{NUMBER} o'clock"),
 }
 
 
@@ -167,7 +168,7 @@ _CLOCK = re.compile(
     r"(?P<hour>\d{1,2})(?:[:.h]?(?P<minute>\d\d)| (?P<spoken>oh \d|[2-5]0 \d|[1-5]\d))?"
     r"|(?P<before_half>\d{1,2}) (?:a )?half|half (?P<after_half>\d{1,2})"
     r"|(?:a )?(?P<part>half|quarter|\d{1,2})(?: minutes)?"
-    r" (?:(?P<past>past|after)|to|till|before) (?P<full>\d{1,2})"
+    r" (?:(?P<past>past|after)|to|till|before) (?P<full>\d{1,2}|noon|midday)"
 )
 
 
@@ -266,7 +267,8 @@ def _read_clock(words: list[str]) -> tuple[int, int, bool] | None:
     if not line.isascii() or (found := _CLOCK.fullmatch(line)) is None:
         return None
     if found["full"]:
-        hour, part = int(found["full"]), found["part"]
+        hour = int(found["full"]) if found["full"].isdigit() else 12
+        part = found["part"]
         minutes = {"half": 30, "quarter": 15}.get(part) or int(part)
         if not 0 < minutes < 60 or hour > 24:
             return None

@@ -40,7 +40,7 @@ from bbq_torchrl.people.language.training_lines import (
 from bbq_torchrl.people.language.words import words_of
 from bbq_torchrl.utils.files import write_bytes
 
-SENTENCES = 7_200
+SENTENCES = 8_700
 """The maximum number of people's sentences to learn from."""
 
 THRESHOLD = 0.75
