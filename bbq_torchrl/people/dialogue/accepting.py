@@ -89,7 +89,7 @@ class Accepting:
         told = {own.get(fold(value), slot): value for slot, value in values_of(said.frame).items()}
         free = {s: v for s, v in values_of(reading.frame).items() if s in self._free}
         told = self._spelling.besides({**free, **told}, record)
-        requests = said.frame.requests
+        requests = tuple(slot for slot in said.frame.requests if slot != self._ticket)
         is_meant = self._spelling.is_meant
         told |= {s: own for s, own in proposal.items() if s in told and is_meant(s, told[s], own)}
         fixed = {**{s: own for s, own in record.items() if s in self._fixed}, **proposal}

@@ -27,6 +27,7 @@ class Memory:
         proposal: the values of a record that the agent proposes, by slot.
         times: the number of proposals since the person last told something new.
         refused: what the person refused: values of one record each, or a single one by name.
+        lacking: the slots that it was asked for and had no value of.
         shown: the records that the agent has proposed or offered, by slot, the latest last.
         denied: the number of offers that the person has refused.
         texts: the number of texts so far.
@@ -37,6 +38,7 @@ class Memory:
     proposal: Mapping[str, str] = field(default_factory=dict)
     times: int = 0
     refused: tuple[Mapping[str, str], ...] = ()
+    lacking: tuple[str, ...] = ()
     shown: tuple[Mapping[str, str], ...] = ()
     denied: int = 0
     texts: int = 0
@@ -63,7 +65,7 @@ class Memory:
         if (waiting := asking["waiting"]) is not None:
             waiting = Frame(waiting["act"], waiting["informs"], tuple(waiting["requests"]))
         known = {**asking, "waiting": waiting, "choices": tuple(asking["choices"])}
-        lists = {name: tuple(content[name]) for name in ("refused", "shown")}
+        lists = {name: tuple(content[name]) for name in ("refused", "lacking", "shown")}
         return cls(**{**content, **lists, "state": state, "asking": Asking(**known)})
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from itertools import pairwise
 from math import isnan
 from typing import TYPE_CHECKING
 
@@ -44,6 +45,10 @@ class Hearing:
         phrases = spelling.lexicon.phrases.slots
         things = (slot for slot in spelling.domain.opening_slots if slot in phrases)
         self._things = {"one", "ones"}.union(*(phrases[slot].nouns for slot in things))
+        texts = [slot for slot, kind in spelling.lexicon.kinds.items() if kind == "text"]
+        names = (tokenize(name) for slot in texts for name in spelling.lexicon.values(slot))
+        self._numbered = {pair for name in names for pair in pairwise(name) if pair[1].isdigit()}
+        self._numbered -= {pair for pair in self._numbered if not pair[0].isalpha()}
 
     def is_bare(self, frame: Frame, *acts: str) -> bool:
         """Returns whether a frame of one of some acts has no values, and asks for no slot."""
@@ -76,12 +81,15 @@ class Hearing:
         informs, unclear = self._spelling.understood(text, values, informed, reading.unclear)
         if moves.says(text, "now"):  # "what is on right now?"
             informs = {slot: value for slot, value in informs.items() if value != "now"}
+        # "Any day this week" is the date of a record, and no wish.
+        informs = {s: ANY if v.startswith("any ") else v for s, v in informs.items()}
         informs |= self._details_in(text, informs)
         words = tokenize(text)
         informs = {s: v for s, v in informs.items() if not self._is_small(words, s, v)}
         counts = {slot for slot in informs if kinds.get(slot) == "count"}
         is_pronoun = moves.says(text, "the_one") and {informs[s] for s in counts} == {"1"}
-        if is_pronoun or (question and counts and not self._is_counted(text, question)):
+        is_other = is_pronoun or self._is_in_names(words, {informs[s] for s in counts})
+        if is_other or (question and counts and not self._is_counted(text, question)):
             informs = {s: v for s, v in informs.items() if s not in counts}
         days = [value for slot, value in informs.items() if kinds.get(slot) == "date"]
         informs = {  # "tonight" is a day, and no time as well; "nope" is no film
@@ -108,6 +116,11 @@ class Hearing:
         asks = all(moves.says(one, "wh") and one.endswith("?") for one in moves.sentences(text))
         named = {*question.requests, *self._spelling.named(text, counts)}
         return not asks or not counts.isdisjoint(named)
+
+    def _is_in_names(self, words: list[str], numbers: Collection[str]) -> bool:
+        """Returns whether numbers are said only as parts of names, as in "the Southgate 10"."""
+        said = {pair for pair in pairwise(["", *words]) if pair[1] in numbers}
+        return bool(said) and said <= self._numbered
 
     def _is_tiny(self, name: str) -> bool:
         """Returns whether a name has two letters, or only words such as "or"."""

@@ -24,7 +24,7 @@ def _pattern(text: str) -> re.Pattern[str]:
     for short, long in (
         ("|\n", "|"),
         ("\n", " "),
-        *((f"<{n}>", _DATA[n]) for n in ("it", "yes", "is_later")),
+        *((f"<{n}>", _DATA[n]) for n in ("it", "yes", "is_end", "is_later")),
     ):
         text = text.replace(short, long)
     return re.compile(re.sub(r"(?<!P)<x>", r"(?P<x>[\\w' ]+?)", text))
@@ -43,8 +43,9 @@ _NEXT = re.compile(
     r"(?=(?:is|are|does|do|will|can|wh\w+(?:'s)?|how)(?!\S)(?! (?:it|that) \?))"
 )
 _PIECE = re.compile(r"[^,.;!?]+[,.;!?]*")
-_AND = re.compile(rf"(?:{_CLAUSE.pattern})(?:and |also |plus )*| (?:and|also|plus|&) ")
+_AND = re.compile(rf"(?:{_CLAUSE.pattern})(?:and |also |plus )*| (?:and|n|also|plus|&) ")
 _WHERE = re.compile(r" (?:in|at|on|near) ")
+_GREETING = re.compile(r"^\W*(?:good )?(?:morning|afternoon|evening)\b(?: \w+)?\W*!\W*(?=\w)", re.I)
 _NOTHING = re.compile(r"\bnothing\b(?=[^.;!?]*\?)", re.IGNORECASE)
 _LONGEST = 6  # words of a value
 
@@ -200,7 +201,7 @@ def sentences(text: str) -> list[str]:
         ['when is it', 'does it have subtitles ?']
     """
     found: list[str] = []
-    for whole in _SENTENCE.findall(_words(text)):
+    for whole in _SENTENCE.findall(_FIND["tag_after"].sub(" ,", _words(text))):
         for sentence in _NEXT.split(whole.strip()):
             yes, _, rest = sentence.partition(" , ")
             wish, _, tag = sentence.rpartition(" , ")
@@ -226,6 +227,12 @@ def questions(text: str) -> list[str]:
     asking = filter(_FIND["question"].search, whole)
     clauses = [part for sentence in asking for part in _AND.split(sentence.strip()) if part]
     return clauses if max(len(clauses), len(whole)) > 1 else []
+
+
+def after_restart(text: str) -> str:
+    """Returns what a text that starts over says next: "two for dune" of "reset: two for dune"."""
+    rest = _FIND["restart"].split(_words(text))[-1].strip(" ,.;:!-")
+    return "" if is_filler(rest) or accepts(rest) else rest
 
 
 def is_nothing(text: str) -> bool:
@@ -275,7 +282,7 @@ def without_verbs(text: str) -> str:
 
 
 def plain(text: str) -> str:
-    """Returns a text that asks for anything where it asks for nothing, and without a complaint.
+    """Returns a text without a greeting or a complaint, that asks for anything where for nothing.
 
     A complaint is what it says of a time that is too late, if it says more.
 
@@ -285,7 +292,7 @@ def plain(text: str) -> str:
         >>> plain("9 is too late for children. the 2:35, is it still there?")
         '. the 2:35 , is it still there ?'
     """
-    text = _NOTHING.sub("anything", text)
+    text = _NOTHING.sub("anything", _GREETING.sub("", text))
     rest = _FIND["complaint"].sub("", _words(text))
     is_more = rest != _words(text) and (any(map(str.isdigit, rest)) or says(rest, "but_yes"))
     return rest.strip() if is_more else text
@@ -329,8 +336,7 @@ def taken_back(text: str, held: Mapping[str, str], lexicon: Lexicon) -> tuple[st
             if match[0] not in asked:  # "Any good movies?"
                 found += named_slots(_WHERE.split(match["x"])[0], lexicon)
         for region in _regions(clause):
-            found += named_slots(region, lexicon)
-            found += named_values(region, held, lexicon)
+            found += named_values(region, held, lexicon) or named_slots(region, lexicon)
     return tuple(dict.fromkeys(found))
 
 
@@ -357,7 +363,8 @@ def named_slots(words: str, lexicon: Lexicon) -> list[str]:
     last = {slot: of.name.lower().split()[-1] for slot, of in phrases.items()}
     nouns = {slot: {*of.nouns, last[slot]} for slot, of in phrases.items()}
     for word in said:
-        forms = {word, word.removesuffix("s"), word.removesuffix("es"), f"{word[:-3]}y"} - _VAGUE
+        forms = {word, word.removesuffix("s"), word.removesuffix("es"), f"{word[:-3]}y"}
+        forms -= _VAGUE | SMALL
         slots = [slot for slot in phrases if forms & nouns[slot]]
         # "critics' rating" is no age rating
         most = max((len(nouns[slot].intersection(said)) for slot in slots), default=0)

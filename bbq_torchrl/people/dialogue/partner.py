@@ -126,6 +126,10 @@ class Partner:
         """
         answer = self._answer(memory or Memory(), text, seed)
         shown, now = self._ways_out.shown(answer.memory), answer.memory
+        told = answer.answered.informs
+        lacks = (s for s in self.domain.essential if told.get(s) == NO_MATCH_TEXT)
+        now = replace(now, lacking=tuple(dict.fromkeys((*now.lacking, *lacks))))
+        answer = replace(answer, memory=now)
         if not shown or shown in now.shown[-1:]:
             return answer
         others = (one for one in now.shown if one != shown)
@@ -144,6 +148,10 @@ class Partner:
                 text = moves.plain(text)
             if "drop" in rules and moves.says(text, "restart"):
                 sentence = self._nlg.say("restart", **words)
+                if rest := moves.after_restart(text):
+                    fresh = self._answer(Memory(texts=before.texts), rest, seed)
+                    if values_of(fresh.understood):
+                        return _led(fresh, sentence)
                 greeting = self._nlg.agent(Frame("request"), **words)
                 return self._say(Memory(texts=now.texts), f"{sentence} {greeting}")
             if "help" in rules and (topic := moves.about(text)):
@@ -188,6 +196,8 @@ class Partner:
         else:
             turn = _Turn(before, record, question, told.rest, words, True)
             answer = self._reply(turn, reading)
+            if record and not reading.unclear and answer.memory.asking.times > before.asking.times:
+                answer = self._say(now, self._nlg.say("stands", **words), reading)
         informs = {**told.values, **answer.answered.informs}
         is_told = told.text in answer.text
         # What one record lacks, and the other has that is told of beside it.
@@ -352,12 +362,13 @@ class Partner:
     def _is_unsure(self, turn: _Turn, reading: Understood) -> bool:
         """Returns whether a reading is too poor to act on.
 
-        A question that names what it asks for is not: "barbie sounds ok. when is it on?"
+        A likely question is not, nor one that names what it asks for: "ok. when is it on?"
         """
         asked = {*reading.frame.requests} - {self.domain.ticket_slot}
-        is_named = bool(asked) and not (reading.unclear or values_of(reading.frame))
-        is_named &= asked <= {*self._spelling.named(turn.text, asked)}
-        return not is_named and turn.before.asking.asks(self._nlu, reading, self._ask_below)
+        is_named = asked <= {*self._spelling.named(turn.text, asked)}
+        is_plain = bool(asked) and not (reading.unclear or values_of(reading.frame))
+        is_plain &= is_named or reading.confidence >= DOUBTFUL
+        return not is_plain and turn.before.asking.asks(self._nlu, reading, self._ask_below)
 
     def _asked(
         self, turn: _Turn, now: Memory, reading: Understood, understood: Frame
@@ -365,7 +376,8 @@ class Partner:
         """Returns a question about a text that is understood poorly; ``None`` if it is plain."""
         text, words, rules = turn.text, turn.words, self.control.rules
         is_question = "help" in rules and moves.says(text, "question") and "?" in text
-        if is_question and not reading.unclear and self._hear.is_bare(reading.frame):
+        is_unheard = self._hear.is_bare(reading.frame) or moves.says(text, "detail")
+        if is_question and is_unheard and not (reading.unclear or values_of(reading.frame)):
             return self._say(now, self._nlg.say("unknown_question", **words), reading)
         values = values_of(understood)
         if reading.unclear or not values or "confirm" not in rules:

@@ -103,7 +103,9 @@ class Questions:
                 rest.append(sentence)
                 continue
             if not any(found[0] in one for one in said):
-                said.append(found[0])
+                yes = f"{self._nlg.say('yes', **words)} "
+                is_again = any(one.startswith(yes) for one in said)
+                said.append(found[0].removeprefix(yes) if is_again else found[0])
             told |= found[1]
             is_yes &= found[2]
         if not said:
@@ -151,8 +153,9 @@ class Questions:
         elif not asked or self._hear.is_unsure(reading):
             named = self._spelling.named(sentence, sorted({*record} - self._free))
             asked = asked & {*named} or {*named[:1]}
-        if not (asked or meant) and moves.says(sentence, "available"):
-            return self._nlg.say("no" if moves.says(sentence, "gone") else "yes", **words), {}, True
+        is_gone = moves.says(sentence, "gone")
+        if moves.says(sentence, "available") and not (meant or (asked and not is_gone)):
+            return self._nlg.say("no" if is_gone else "yes", **words), {}, True
         if asked and not meant:
             told = {slot: record.get(slot, NO_MATCH_TEXT) for slot in sorted(asked)}
             return self._nlg.agent(Frame("inform", told), **words), told, True

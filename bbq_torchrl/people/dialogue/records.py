@@ -272,7 +272,9 @@ class Records:
                 implied = torch.where(is_free, of.amax(0), implied)
         return implied
 
-    def choices(self, held: Tensor, slot: int, direction: int = 0) -> list[int]:
+    def choices(
+        self, held: Tensor, slot: int, direction: int = 0, asked: Sequence[int] = ()
+    ) -> list[int]:
         """Returns the other values of a slot in records with everything else but details.
 
         Times are in their order by the clock, others begin with the commonest.
@@ -282,12 +284,15 @@ class Records:
             slot: the slot.
             direction: 1 for later values only, -1 for earlier ones; of a part of the day only its
                 times.
+            asked: slots that the records should have.
         """
         others = held.clone()
         others[slot] = NONE
         differs, lacks = self._misses(others)
         fits = ~(differs | (lacks & ~self.minor)).any(-1) & self.has[:, slot]
         fits &= self.parts(held).get(slot, True) & ~self._is_elsewhere(lacks)
+        has = fits & self.has[:, list(asked)].all(-1)
+        fits = has if has.any() else fits
         missing = torch.where(fits, lacks.sum(-1), len(held))
         found = self._values[fits & (missing == missing.min()), slot]
         values, counts = found[found != held[slot]].unique(return_counts=True)

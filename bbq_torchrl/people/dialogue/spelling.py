@@ -145,7 +145,9 @@ class Spelling:
         if parts and read is None:  # "afternoon matinee"
             return replace(name, candidates=tuple(parts))
         if read is None:
-            links = {other: lexicon.link(other, name.text) for other in lexicon.slots}
+            # "The Southgate 10" is no number of people.
+            others = (other for other in lexicon.slots if lexicon.kinds[other] != "count")
+            links = {other: lexicon.link(other, name.text) for other in (slot, *others)}
             slot = max(links, key=lambda other: links[other].score)
             is_close = links[slot].score > _CLOSE
             return replace(name, slot=slot, candidates=links[slot].values) if is_close else name
@@ -237,7 +239,7 @@ class Spelling:
         """
         nouns = {slot: set(phrases.nouns) for slot, phrases in self.lexicon.phrases.slots.items()}
         spoken = set().union(*(nouns[slot] for slot in asked))
-        words = set(tokenize(text))
+        words = {word.removesuffix("'s") for word in tokenize(text)}  # "when's it on?"
         return tuple(
             slot for slot in slots if words & (nouns[slot] - (set() if slot in asked else spoken))
         )

@@ -139,10 +139,10 @@ class WaysOut:
         is_moved = bool(way) and not is_time[number]
         base, found = held, []
         if not is_moved:
-            found = self._choices(held, number, way, end, is_other=is_other)
+            found = self._choices(now, held, number, way, end, is_other=is_other)
         if len(found) < 2 and not (way or end):  # leave out what the agent chose
             base = torch.where(is_wish, held, NONE)
-            found = self._choices(base, number, is_other=is_other) or found
+            found = self._choices(now, base, number, is_other=is_other) or found
         if len(found) > 1:
             values = tuple(records.vocabulary[number][value] for value in found)
             return self._several(now, reading, slot, values, words)
@@ -154,7 +154,9 @@ class WaysOut:
         as_told[number] = full(now.state)[number]
         propose = partial(self.propose, now, reading, words=words, held=as_told)
         refused = self.refused(now)
-        nearest = partial(records.nearest, base, refused, slot=number, direction=way)
+        nearest = partial(
+            records.nearest, base, refused, asked=self._lacking(now), slot=number, direction=way
+        )
         change = {number: found[0]} if found else {} if end else nearest(stays=fixed)
         if change:
             return propose(change)
@@ -162,6 +164,12 @@ class WaysOut:
             change = records.nearest(held, refused, slot=number, direction=way)
             change = change or records.nearest(held, refused, asked=[number])
             return self.propose(now, reading, change, words)
+        own = self.nearest(now).get(slot)
+        if own and is_met and not (is_other or end or "only" in text):  # "which theaters have it?"
+            told = Frame("inform", {slot: own})
+            stands = self._nlg.say("stands", **words) if now.proposal or now.is_offered else ""
+            sentence = f"{self._nlg.agent(told, **words)} {stands}".strip()
+            return Answer(sentence, reading, reading.frame, told, replace(now, asking=Asking()))
         use = {1: "nothing_later", -1: "nothing_earlier"}.get(way or end, "no_other")
         place = self._tracking.values(records.here(base, fixed & (is_wish | self._place)))
         sentence = self._nlg.say(use if place else "only", [slot], values=place, **words)
@@ -217,13 +225,24 @@ class WaysOut:
         is_named = self._lexicon.place(after.split(), slot, value) is not None
         return is_named and len(moves.besides(asking)) == 1
 
+    def _lacking(self, now: Memory) -> list[int]:
+        """Returns the slots that were asked for and are not on file."""
+        return [self._slots.index(slot) for slot in now.lacking]
+
     def _choices(
-        self, held: torch.Tensor, number: int, way: int = 0, end: int = 0, *, is_other: bool
+        self,
+        now: Memory,
+        held: torch.Tensor,
+        number: int,
+        way: int = 0,
+        end: int = 0,
+        *,
+        is_other: bool,
     ) -> list[int]:
         """Returns the values of a slot, or the one at an end; none if it is the one held."""
         free = held.clone()
         free[number] = held[number] if is_other else NONE
-        found = self._records.choices(free, number, way)
+        found = self._records.choices(free, number, way, self._lacking(now))
         found = found[-1 if end > 0 else 0 :][:1] if end else found
         return [] if found == [int(held[number])] else found
 
@@ -295,7 +314,7 @@ class WaysOut:
         assert now.state is not None
         if now.proposal and is_refused:
             now = replace(now, refused=(*now.refused, now.proposal), proposal={})
-        asked = [self._slots.index(slot) for slot in requests]
+        asked = [self._slots.index(slot) for slot in requests] + self._lacking(now)
         change = self._records.nearest(full(now.state), self.refused(now), asked=asked)
         if not (change or is_refused):  # who tells other wishes may mean one refused before
             now = replace(now, refused=(), times=0)
@@ -318,7 +337,8 @@ class WaysOut:
         asked = [self._slots.index(slot) for slot in needed if told.get(slot) == NO_MATCH_TEXT]
         if not asked:
             return None
-        held, here = full(now.state), self._records.lasting & ~self._records.opening
+        held, wished = full(now.state), now.state["wished"] > 0
+        here = self._records.lasting & (wished | ~self._records.opening)
         change = self._records.nearest(held, self.refused(now), has=asked, stays=here)
         found = self.propose(now, reading, change, words, asked)
         return found if found.memory.proposal not in ({}, now.proposal) else None
