@@ -11,7 +11,7 @@ from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.exchange import values_of
 from bbq_torchrl.people.dialogue.hearing import DOUBTFUL
 from bbq_torchrl.people.language import Frame, Understood
-from bbq_torchrl.people.language.words import is_no
+from bbq_torchrl.people.language.words import is_farewell, is_no
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -104,7 +104,8 @@ class Accepting:
         frame = Frame("request" if requests else "inform", {**proposal, **told}, requests)
         known = {**record, **proposal}
         is_known = all(known.get(s) == value for s, value in told.items() if s not in self._free)
-        is_yes = beside is not None and is_known and not (requests or said.unclear)
+        says_yes = beside is not None or self._agrees(reading, text)
+        is_yes = says_yes and is_known and not (requests or said.unclear)
         is_yes &= not (moves.says(text, "hesitates", "but") or self._asks_more(text, known))
         taken = replace(said, frame=frame, confidence=max(said.confidence, DOUBTFUL))
         return taken, is_yes
@@ -130,6 +131,9 @@ class Accepting:
             asks: whether the whole text asks something.
         """
         frame = reading.frame
+        if moves.books(text) or moves.ends_in_yes(text):  # "We bring cushions. Book it"
+            known = tuple(one for one in reading.unclear if one.candidates or one.is_denied)
+            reading = replace(reading, unclear=known)
         assert before.state is not None
         offer = {**record, **self._tracking.kept(before.state)}
         beside = self._beside_yes(before, text, offer)
@@ -145,17 +149,21 @@ class Accepting:
             beside = replace(said, confidence=1.0)
         is_end = moves.ends_in_yes(text)
         # "a bit late, but fine, we'll take it", "great, two tickets please"
-        if beside is None and (is_end or (is_plain and moves.begins_in_yes(text))):
+        is_yes = is_end or (is_plain and moves.begins_in_yes(text)) or self._agrees(reading, text)
+        if beside is None and is_yes:
             beside = reading
         doubts = ["hesitates"] if is_end else ["hesitates", "but"]
         if beside is not None and not asks and not moves.says(rest or text, *doubts):
             told = self._spelling.besides(values_of(beside.frame), offer)
             if self._asks_more(text, offer):
                 return replace(reading, frame=Frame("not_sure")), False
+            is_heard = is_end or self._agrees(reading, text)
+            if is_heard and self._hear.is_bare(frame) and not reading.unclear:
+                return Understood(Frame("thanks"), 1.0, source=reading.source), False
             is_repeated = told.items() <= offer.items()
             # "sonds good, yes"
             says_yes = beside.frame.act in ("confirm_answer", "thanks")
-            says_yes |= moves.ends_in_yes(text) and self._hear.is_bare(beside.frame)
+            says_yes |= is_end and self._hear.is_bare(beside.frame)
             is_plain_yes = says_yes or beside.confidence == 1.0
             if is_repeated and (told or is_plain_yes):
                 return Understood(Frame("thanks"), 1.0, source=reading.source), False
@@ -177,6 +185,11 @@ class Accepting:
         if not is_vague:
             return reading, False
         return replace(reading, frame=Frame("not_sure")), False
+
+    def _agrees(self, reading: Understood, text: str) -> bool:
+        """Returns whether a text is surely heard, and has words that agree and none that deny."""
+        is_denied = moves.says(text, "no") or is_farewell(text) or reading.frame.act == "deny"
+        return moves.says(text, "agreeing") and not (is_denied or self._hear.is_unsure(reading))
 
     def _asks_more(self, text: str, offer: Mapping[str, str]) -> bool:
         """Returns whether a text has a condition that is not of an offer's values."""

@@ -96,7 +96,7 @@ class Hearing:
             slot: value
             for slot, value in informs.items()
             if not (kinds.get(slot) == "time" and value in days)
-            and not (is_no(value) and moves.begins_with(text, value))
+            and not (slot not in asked and is_no(value) and moves.begins_with(text, value))
         }
         unclear = tuple(
             one
@@ -146,6 +146,7 @@ class Hearing:
         }
         unclear = tuple(one for one in reading.unclear if one.slot not in meant)
         informs = self._spelling.as_in(record, text, reading.frame.informs) | meant
+        informs = self._spelling.hours_in(record, text, informs)
         fixed = {s: v for s, v in informs.items() if s not in self._domain.free_slots}
         is_meant = self._spelling.is_meant
         is_of_it = all(s in record and is_meant(s, v, record[s]) for s, v in fixed.items())

@@ -123,8 +123,8 @@ def beside_yes(text: str) -> str | None:
 
 
 def begins_with(text: str, words: str) -> bool:
-    """Returns whether some words are the first clause of a text, such as "nope. at seven"."""
-    return _PIECE.findall(_words(text))[0].strip(" ,.;!") == words
+    """Returns whether some words are the first of a text that has more: "nope, at seven"."""
+    return _words(text).startswith(f"{words} ")
 
 
 def ends_in_yes(text: str) -> bool:
@@ -363,8 +363,9 @@ def named_slots(words: str, lexicon: Lexicon) -> list[str]:
     last = {slot: of.name.lower().split()[-1] for slot, of in phrases.items()}
     nouns = {slot: {*of.nouns, last[slot]} for slot, of in phrases.items()}
     for word in said:
-        forms = {word, word.removesuffix("s"), word.removesuffix("es"), f"{word[:-3]}y"}
-        forms -= _VAGUE | SMALL
+        forms = {word, word.removesuffix("s"), word.removesuffix("es")} - _VAGUE - SMALL
+        if word.endswith("ies"):
+            forms.add(f"{word[:-3]}y")
         slots = [slot for slot in phrases if forms & nouns[slot]]
         # "critics' rating" is no age rating
         most = max((len(nouns[slot].intersection(said)) for slot in slots), default=0)

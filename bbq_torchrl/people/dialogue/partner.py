@@ -164,6 +164,11 @@ class Partner:
                 told = self._questions(record, text, words, near)
             question = self._question(before)
             reading = self._hear(told.rest or text, question)
+            if told.text and told.rest:  # "What is the price for two?"
+                free = self._hear(text, question).frame.informs.items()
+                counts = {s: v for s, v in free if s in self.domain.free_slots}
+                frame = replace(reading.frame, informs={**counts, **reading.frame.informs})
+                reading = replace(reading, frame=frame)
             if told.text and told.rest and (named := self._elsewhere(before, record, told.rest)):
                 untold = "" if told.values else told.text
                 text = told.rest if untold else text
@@ -202,7 +207,7 @@ class Partner:
         is_told = told.text in answer.text
         # What one record lacks, and the other has that is told of beside it.
         is_told |= bool(told.values) and all(
-            value == NO_MATCH_TEXT != informs[slot] for slot, value in told.values.items()
+            value != informs[slot] for slot, value in told.values.items()
         )
         return replace(
             answer,

@@ -185,6 +185,20 @@ class Spelling:
                 found[slot] = record[slot]
         return found
 
+    def hours_in(
+        self, record: Mapping[str, str], text: str, values: Mapping[str, str]
+    ) -> dict[str, str]:
+        """Returns values with the hour of a record's time for a bare number: "ok, 5 works"."""
+        kinds, found = self.lexicon.kinds, dict(values)
+        times = {slot: minutes_of(v) for slot, v in record.items() if kinds.get(slot) == "time"}
+        counts = {s for s in values.keys() - record.keys() if kinds.get(s) == "count"}
+        for slot in counts - {*self.named(text, counts)}:
+            for time, minutes in times.items():
+                if values[slot] in tokenize(text) and minutes % 720 == 60 * int(values[slot]):
+                    del found[slot]
+                    found[time] = record[time]
+        return found
+
     def besides(self, values: Mapping[str, str], record: Mapping[str, str]) -> dict[str, str]:
         """Returns values without those that are how names of a record begin: "the AMC"."""
         begun = {s for s, w in self.wholes.items() if is_in(values.get(s, ""), record.get(w, ""))}

@@ -36,6 +36,8 @@ _DENIED_BEFORE, _DENIED_AFTER = (
     for name in ("denied_before", "denied_after")
 )
 _NO = re.compile(ENGLISH["denied_by_no"])
+_PAIR, _MARKS = 2, frozenset(",.;!?")  # "no, 1" is no name
+_NOT = ("no", "not", "nothing", "isn't", "isnt")
 _NO_COUNT = re.compile(ENGLISH["no_count"])
 
 
@@ -55,7 +57,7 @@ def assemble(
         # Simulated users repeat that the agent found no match.
         return Frame("inform", {asked: NO_MATCH_TEXT}), (), 0.0
     act = lexicon.domain.acts[int(reading.acts.argmax())]
-    spans = _whole_quantities(words, spans_of(reading.tags), lexicon)
+    spans = _whole_names(words, spans_of(reading.tags), lexicon)
     if (choice := chosen(words, question, lexicon)) is not None:
         others = [span for span in spans if span.slot != asked]  # "The second. We are three."
         informs, unclear = values_of(words, others, lexicon)
@@ -73,13 +75,15 @@ def assemble(
         for span in lexicon.full_names(left, asked if is_bare else None):
             around = (*words[max(span.start - 1, 0) : span.start], *words[span.end : span.end + 1])
             is_tagged = span.slot in [tagged.slot for tagged in spans]
-            is_sure = sure_kind(" ".join(words[span.start : span.end])) and not is_tagged
-            # A name of several words is nothing else.
-            is_sure = is_sure or span.end - span.start > _SHORT - 1
+            is_sure = _is_sure(words, span) and not (
+                is_tagged and lexicon.kinds[span.slot] != "text"
+            )
             is_named = is_bare or is_sure or "or" in around  # "Seattle or Portland"
             if is_named and not _is_no_count(words, span, lexicon):
                 spans.append(span)
         spans.sort(key=lambda span: span.start)
+    if lexicon.kinds.get(asked or "") == "time" and asked not in [span.slot for span in spans]:
+        spans = [_as_time(words, span, asked or "", lexicon) for span in spans]
     informs, unclear = values_of(words, spans, lexicon)
     sure = math.log(max(reading.tags_chance, 1e-9)) + math.log(max(1 - reading.foreign, 1e-9))
     pairs = enumerate(zip(words, reading.is_unknown, strict=True))
@@ -95,11 +99,11 @@ def assemble(
     return frame, unclear, sure + chance
 
 
-def _whole_quantities(words: Sequence[str], spans: Sequence[Span], lexicon: Lexicon) -> list[Span]:
-    """Returns tagged spans, each in the quantity that it is a part of: "2 adults and a kid"."""
+def _whole_names(words: Sequence[str], spans: Sequence[Span], lexicon: Lexicon) -> list[Span]:
+    """Returns tagged spans, each in the name that it is a part of: "2 adults and a kid"."""
     spans = [span for span in spans if not _is_no_count(words, span, lexicon)]
     names = lexicon.full_names(words) if spans else []
-    sure = [name for name in names if sure_kind(" ".join(words[name.start : name.end]))]
+    sure = [name for name in names if _is_sure(words, name)]
     whole = {
         next((name for name in sure if name.start <= at.start and at.end <= name.end), at)
         for at in spans
@@ -110,12 +114,28 @@ def _whole_quantities(words: Sequence[str], spans: Sequence[Span], lexicon: Lexi
     return sorted(whole, key=lambda span: span.start)
 
 
+def _is_sure(words: Sequence[str], span: Span) -> bool:
+    """Returns whether words that name a value are nothing else: "not far", "by the park"."""
+    name = words[span.start : span.end]
+    is_name = (len(name) > _PAIR or name[0] in _NOT) and _MARKS.isdisjoint(name)
+    return is_name or sure_kind(" ".join(name)) is not None
+
+
 def _is_no_count(words: Sequence[str], span: Span, lexicon: Lexicon) -> bool:
     """Returns whether words are no number of people, as "one of the earlier ones", "3 hours"."""
     own = " ".join(words[span.start : span.end])
     said = " ".join(words[span.start : span.end + _MAX_AFTER])
     is_none = _NO_COUNT.search(own) or _NO_COUNT.match(said)
     return lexicon.kinds[span.slot] == "count" and is_none is not None
+
+
+def _as_time(words: Sequence[str], span: Span, asked: str, lexicon: Lexicon) -> Span:
+    """Returns a bare number as the hour that was asked for: "10. it's for two", "about 7"."""
+    is_first = span.start == 0 or words[span.start - 1] in ("like", "about", "around", "say")
+    is_hour = lexicon.kinds[span.slot] == "count" and words[span.start].isdigit() and is_first
+    nouns = {"of", *lexicon.phrases.slots[span.slot].nouns}
+    is_bare = nouns.isdisjoint(words[span.start : span.end + 1])
+    return Span(asked, span.start, span.end) if is_hour and is_bare else span
 
 
 def chosen(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | None:
