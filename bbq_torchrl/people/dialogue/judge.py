@@ -97,8 +97,13 @@ class Judge:
         offer: dict[str, str] = {}
         answers: dict[str, set[str]] = defaultdict(set)
         latest: dict[str, str] = {}
+        listed: dict[str, set[str]] = {}
         for understood, answered in exchanges:
-            latest |= _folded(understood.informs)
+            told = _folded(understood.informs)
+            latest |= told
+            for slot in () if self._as_simulated else told.keys() & listed.keys():
+                answers[slot] |= {told[slot]} & listed[slot]  # who picks one of a list knows it
+            listed = {slot: {*map(fold, answered.choices)} for slot in answered.requests}
             informed = _folded(answered.informs)
             is_offer = self._complete in informed
             if is_offer:
@@ -139,15 +144,19 @@ class Judge:
         return self._all.intersection(*wanted)
 
     def _having(self, slot: str, values: Iterable[str]) -> set[int]:
-        """Returns the records that have one of the values, or a time in it, as "after 6 pm"."""
+        """Returns the records that have one of the values, or a time or a day in it."""
         # Imported here: the language loads torch, which a study's report needs not.
-        from bbq_torchrl.people.language.quantities import minutes_of, of_evening, span_of
+        from bbq_torchrl.people.language.quantities import is_on, minutes_of, of_evening, span_of
 
         found = set().union(*(self._rows.get((slot, value), ()) for value in values))
         spans = [] if self._as_simulated else list(filter(None, map(span_of, values)))
         for (own, time), rows in self._rows.items() if spans else ():
             minutes = of_evening(minutes_of(time)) if own == slot else math.nan
             if any(first <= minutes <= last for first, last in spans):
+                found |= rows
+        weekends = [value for value in values if is_on("sunday", value)]
+        for (own, date), rows in self._rows.items() if weekends and not self._as_simulated else ():
+            if own == slot and is_on(date, weekends[0]):
                 found |= rows
         return found
 

@@ -540,6 +540,11 @@ class Partner:
             now = replace(now, state=state)
             found = self._ways_out.alternative(now, reading, words, asked, is_refused=False)
             return replace(found, understood=understood)
+        is_asked = acted.answered.act == "request" and self._fixed & {*acted.answered.requests}
+        if state is not None and is_asked and not (is_denied or now.proposal):
+            found = self._ways_out.rare(replace(now, state=state), reading, words, asked)
+            if found is not None:
+                return replace(found, understood=understood)
         sentences = [self._nlg.agent(act, kept, **words) for act, kept in acted.parts]
         if state is not None:
             told = {s: v for act, _ in acted.parts for s, v in act.informs.items() if s in asked}

@@ -17,6 +17,7 @@ from bbq_torchrl.people.language.quantities import (
     SPANS,
     about_minutes,
     day_of,
+    is_on,
     minutes_of,
     of_evening,
     read_time,
@@ -172,6 +173,7 @@ class Spelling:
             is_in = first <= of_evening(minutes_of(own)) <= last
             return is_in or about_minutes(said) == about_minutes(own)
         is_day = kind == "date" and fold(said) in (day_of(own), day_of(own).removeprefix("next "))
+        is_day |= kind == "date" and is_on(own, said)
         is_other = sure_kind(said) not in (None, kind)  # "3 pm" is not three people
         return is_day or (key(slot, own) == key(slot, said) and not is_other)
 

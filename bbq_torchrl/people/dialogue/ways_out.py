@@ -34,6 +34,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.language import EndpointGenerator, Generator, Understood
 
 _MAX_NAMED = 4
+_FEW = 10  # records: more are asked about
 _MAX_PROPOSALS = 2
 """The number of refused proposals, or of times that one is made, before the agent asks what may
 change."""
@@ -320,6 +321,34 @@ class WaysOut:
             now = replace(now, refused=(), times=0)
             change = self._records.nearest(full(now.state), asked=asked)
         return self.propose(now, reading, change, words, asked)
+
+    def rare(
+        self, now: Memory, reading: Understood, words: dict[str, Any], requests: Sequence[str]
+    ) -> Answer | None:
+        """Returns the proposal of a record that has wishes which few records have, if any has all.
+
+        Who wishes something rare is shown it, instead of asked for what it determines: "near my
+        hotel" is in a city.
+
+        Args:
+            now: the memory, with the state after the person's act.
+            reading: the meaning of the text.
+            words: what determines the words.
+            requests: the slots asked for; the proposal tells their values.
+        """
+        assert now.state is not None
+        held = full(now.state)
+        details = self._records.minor & (held >= FIRST_VALUE) & (now.state["wished"] > 0)
+        differs, lacks = self._records.compare(held)
+        count = int((~(differs | lacks).any(-1)).sum())
+        if now.refused or not (details.any() and 0 < count <= _FEW):
+            return None
+        row = self._records.row(held, {})
+        is_open = self._place & (held < FIRST_VALUE) & (row != NONE)
+        told = (is_open | details).nonzero().flatten().tolist()
+        change = {slot: int(row[slot]) for slot in told} if is_open.any() else {}
+        asked = [self._slots.index(slot) for slot in requests]
+        return self.propose(now, reading, change, words, asked) if change else None
 
     def on_file(
         self, now: Memory, reading: Understood, words: dict[str, Any], told: Mapping[str, str]

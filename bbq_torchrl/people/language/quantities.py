@@ -263,6 +263,11 @@ def day_of(text: str) -> str:
     return " ".join(word for word in words if word not in {*PART_WORDS, "later"})
 
 
+def is_on(day: str, of: str) -> bool:
+    """Returns whether a date is in another, as Sunday night in this weekend."""
+    return day_of(of) == "weekend" and day_of(day) in ("saturday", "sunday")
+
+
 def _read_clock(words: list[str]) -> tuple[int, int, bool] | None:
     """Returns the hour, the minute and whether the clock certainly has 24 hours."""
     line = " ".join(str(_NUMBERS.get(word, word)) for word in words)

@@ -118,7 +118,7 @@ def test_a_showing_shown_before_comes_back(partner):
     chain = shown["theater"].partition(" ")[0]
     for text in (
         "let's go back to the first one",
-        f"I'd rather have the {chain} after all",
+        f"we take the {chain} one after all",
         f"the {shown['starttime']} one you proposed before. where is it?",
     ):
         back = said(partner, other, text)
