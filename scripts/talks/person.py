@@ -197,15 +197,16 @@ class Person:
         return self._domain.complete_slot in answer.answered.informs
 
     def _to_check(self, answer: Answer) -> Said:
-        """Answers "..., is that right?" and "say it another way"."""
+        """Answers "..., is that right?", "shall I take that?" and "say it another way"."""
         wishes = dict(answer.answered.informs)
         if not wishes:
             return self._again()
+        # A showing that is proposed may have any value of what the goal leaves open.
+        known = {**answer.memory.proposal, **self._answers, **self._goal.constraints}
         wrong = [
             slot
             for slot, value in wishes.items()
-            if value != self._goal.constraints.get(slot, self._answers.get(slot))
-            and value != self.last.informs.get(slot)
+            if value not in (known.get(slot), self.last.informs.get(slot))
         ]
         if not wrong:
             return Said(self._choose(self._hand["yes"]), wishes, act="yes")

@@ -196,7 +196,7 @@ def sentences(text: str) -> list[str]:
 
     Examples:
         >>> sentences("Sounds good, is it in 3D? We are four.")
-        ['sounds good', 'is it in 3d ?', 'we are four .']
+        ['sounds good ,', 'is it in 3d ?', 'we are four .']
         >>> sentences("When is it and does it have subtitles?")
         ['when is it', 'does it have subtitles ?']
     """
@@ -206,7 +206,7 @@ def sentences(text: str) -> list[str]:
             yes, _, rest = sentence.partition(" , ")
             wish, _, tag = sentence.rpartition(" , ")
             if rest and accepts(yes):
-                found += [yes, rest]
+                found += [f"{yes} ,", rest]
             elif wish and says(wish, "wish") and says(tag, "tag"):
                 found += [wish, tag]  # "we want 3D, Dune is in 3D, right?"
             else:

@@ -251,6 +251,7 @@ class Partner:
         is_moved = moves.direction(text) or moves.says(text, "question")
         is_wish = bool(values_of(reading.frame)) and not is_moved
         others = "way_out" in rules and bool(moves.others(text)) and not is_wish
+        others &= not self._is_detail(moves.others(text), reading)
         held = self._tracking.kept(before.state)
         if "way_out" in rules:
             reading = self._narrowed(reading, text, before, turn.record)
@@ -397,6 +398,13 @@ class Partner:
         sentence = self._nlg.say("check", values=values, **words)
         return Answer(sentence, reading, reading.frame, Frame("not_sure", values), now)
 
+    def _is_detail(self, words: str, reading: Understood) -> bool:
+        """Returns whether words that may ask for others are a detail that was heard: "nearest"."""
+        told = values_of(reading.frame).items()
+        found = {slot: value for slot, value in told if slot in self._details}
+        lexicon, first = self._spelling.lexicon, words.split()[:2]  # "the nearest one that has it"
+        return any(lexicon.place(first, slot, value) is not None for slot, value in found.items())
+
     def _absent(self, before: Memory, understood: Frame, answer: Answer) -> dict[str, str]:
         """Returns the wishes that are news and that the record spoken of does not have."""
         known, aside = map(self._tracking.aside, (before.state, answer.memory.state))
@@ -542,9 +550,9 @@ class Partner:
             return replace(found, understood=understood)
         is_asked = acted.answered.act == "request" and self._fixed & {*acted.answered.requests}
         if state is not None and is_asked and not (is_denied or now.proposal):
-            found = self._ways_out.rare(replace(now, state=state), reading, words, asked)
-            if found is not None:
-                return replace(found, understood=understood)
+            rare = self._ways_out.rare(replace(now, state=state), reading, words, asked)
+            if rare is not None:
+                return replace(rare, understood=understood)
         sentences = [self._nlg.agent(act, kept, **words) for act, kept in acted.parts]
         if state is not None:
             told = {s: v for act, _ in acted.parts for s, v in act.informs.items() if s in asked}

@@ -89,7 +89,9 @@ class Questions:
             # "what time is the first matinee?" is no question about others
             is_others = bool(moves.others(re.sub(rf"\b{name}", "it", sentence)))
             about = subject.sub(r"\1 it", sentence)
-            if moves.says(sentence, "question") and moves.says(sentence, "untold"):
+            is_untold = moves.says(sentence, "untold")
+            is_untold &= bool(record) or not moves.says(sentence, "nearest")
+            if moves.says(sentence, "question") and is_untold:
                 found = self._nlg.say("unknown_question", **words), {}, True
             elif not is_others and (record or self._is_unheard(sentence, None)):
                 found = self._answer(record or near or {}, about, words)

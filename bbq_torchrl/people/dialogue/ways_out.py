@@ -34,7 +34,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.language import EndpointGenerator, Generator, Understood
 
 _MAX_NAMED = 4
-_FEW = 10  # records: more are asked about
+_FEW = 20  # records: more are asked about
 _MAX_PROPOSALS = 2
 """The number of refused proposals, or of times that one is made, before the agent asks what may
 change."""
