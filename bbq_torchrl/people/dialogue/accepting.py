@@ -23,6 +23,10 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.dialogue.tracking import Acting, Tracking
 
 
+_SURE = 0.75
+"""The confidence from which a text with words that agree is a yes."""
+
+
 class Accepting:
     """Reads the replies to what the agent checks, proposes or offers.
 
@@ -183,13 +187,17 @@ class Accepting:
             is_bare(frame, "deny") and (asks or moves.says(text, "hesitates", "but"))
         )
         if not is_vague:
-            return reading, False
+            # Thanks beside a value or a question end nothing.
+            act = "request" if frame.requests else "inform"
+            frame = replace(frame, act=act) if frame.act == "thanks" else frame
+            return replace(reading, frame=frame), False
         return replace(reading, frame=Frame("not_sure")), False
 
     def _agrees(self, reading: Understood, text: str) -> bool:
         """Returns whether a text is surely heard, and has words that agree and none that deny."""
         is_denied = moves.says(text, "no") or is_farewell(text) or reading.frame.act == "deny"
-        return moves.says(text, "agreeing") and not (is_denied or self._hear.is_unsure(reading))
+        is_sure = reading.confidence >= _SURE and not (is_denied or reading.unclear)
+        return is_sure and moves.says(text, "agreeing")
 
     def _asks_more(self, text: str, offer: Mapping[str, str]) -> bool:
         """Returns whether a text has a condition that is not of an offer's values."""

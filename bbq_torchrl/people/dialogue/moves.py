@@ -196,7 +196,7 @@ def sentences(text: str) -> list[str]:
 
     Examples:
         >>> sentences("Sounds good, is it in 3D? We are four.")
-        ['sounds good ,', 'is it in 3d ?', 'we are four .']
+        ['sounds good', 'is it in 3d ?', 'we are four .']
         >>> sentences("When is it and does it have subtitles?")
         ['when is it', 'does it have subtitles ?']
     """
