@@ -34,6 +34,8 @@ if TYPE_CHECKING:
 
 
 _MAX_NAMED = 4
+_CHECKED = 0.3
+"""The confidence below which what was heard is checked; above, it is said back in passing."""
 _MAX_DENIED = 4
 """The number of refused offers after which the agent ends the conversation."""
 
@@ -390,9 +392,10 @@ class Partner:
             return self._ask_again(now, reading, self._nlg.clarify(reading, **words))
         # A question that was not heard is no plain sentence.
         is_heard = bool({*reading.frame.requests} - {self.domain.ticket_slot})
-        is_heard |= moves.asks_whether_any(text) or not moves.says(text, "question")
+        # An echo asks no more than what it names: "barbie in reno??"
+        is_heard |= moves.asks_whether_any(text) or not moves.says(text.rstrip(" ?"), "question")
         is_plain = self._spelling.is_named(text, values) and is_heard
-        if is_plain or turn.before.asking.is_check or reading.confidence >= DOUBTFUL:
+        if is_plain or turn.before.asking.is_check or reading.confidence >= _CHECKED:
             return None
         now = replace(now, asking=now.asking.checking(reading))
         sentence = self._nlg.say("check", values=values, **words)

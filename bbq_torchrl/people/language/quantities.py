@@ -53,7 +53,8 @@ _SURE: dict[Kind, re.Pattern[str]] = {
         rf"{NUMBER} (?:of us|seats?)|(?:an? )?(?:{'|'.join(ENGLISH['groups'].split())}) of {NUMBER}"
         rf"|with (?:(?:my|our) )?{NUMBER} (?:{'|'.join(sorted(_COMPANIES))})"
         rf"|{_COMPANION} (?:and|n|&) (?:i|me)|(?:me|i) (?:and|n|&) {_COMPANION}|{PARTY.pattern}"
-        rf"|(?:i am|i'm|im) (?:going )?(?:alone|solo)|(?:by|for) myself|(?:we are|we're) {_MEMBER}"
+        rf"|(?:i am|i'm|im) alone|(?:going|coming) (?:alone|solo)|(?:by|for) myself"
+        rf"|(?:we are|we're) {_MEMBER}"
     ),
     "time": re.compile(
         rf"(?:at )?\d[\d:.]* [ap]\.?m\.?|\d\d?:\d\d|at {NUMBER}|(?:the )?{NUMBER} o'clock"
