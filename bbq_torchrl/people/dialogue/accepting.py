@@ -111,6 +111,8 @@ class Accepting:
         says_yes = beside is not None or self._agrees(reading, text)
         is_yes = says_yes and is_known and not (requests or said.unclear)
         is_yes &= not (moves.says(text, "hesitates", "but") or self._asks_more(text, known))
+        # "Ok, forget the evening. Any time tomorrow" takes a wish back, and nothing else.
+        is_yes &= not moves.taken_words(text) and ANY not in reading.frame.informs.values()
         taken = replace(said, frame=frame, confidence=max(said.confidence, DOUBTFUL))
         return taken, is_yes
 
@@ -135,7 +137,8 @@ class Accepting:
             asks: whether the whole text asks something.
         """
         frame = reading.frame
-        if moves.books(text) or moves.ends_in_yes(text):  # "We bring cushions. Book it"
+        is_yes = moves.books(text) or moves.ends_in_yes(text) or moves.says(text, "agreeing")
+        if is_yes and not asks:  # "We bring cushions. Book it"
             known = tuple(one for one in reading.unclear if one.candidates or one.is_denied)
             reading = replace(reading, unclear=known)
         assert before.state is not None
