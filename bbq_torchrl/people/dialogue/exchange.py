@@ -65,7 +65,7 @@ class Memory:
         if (waiting := asking["waiting"]) is not None:
             waiting = Frame(waiting["act"], waiting["informs"], tuple(waiting["requests"]))
         known = {**asking, "waiting": waiting, "choices": tuple(asking["choices"])}
-        lists = {name: tuple(content[name]) for name in ("refused", "lacking", "shown")}
+        lists = {name: tuple(content.get(name, ())) for name in ("refused", "lacking", "shown")}
         return cls(**{**content, **lists, "state": state, "asking": Asking(**known)})
 
 

@@ -47,8 +47,10 @@ class Hearing:
         self._things = {"one", "ones"}.union(*(phrases[slot].nouns for slot in things))
         texts = [slot for slot, kind in spelling.lexicon.kinds.items() if kind == "text"]
         names = (tokenize(name) for slot in texts for name in spelling.lexicon.values(slot))
-        self._numbered = {pair for name in names for pair in pairwise(name) if pair[1].isdigit()}
-        self._numbered -= {pair for pair in self._numbered if not pair[0].isalpha()}
+        pairs = (pair for name in names for pair in pairwise(name))
+        self._numbered = {
+            (word, number) for word, number in pairs if word.isalpha() and number.isdigit()
+        }
 
     def is_bare(self, frame: Frame, *acts: str) -> bool:
         """Returns whether a frame of one of some acts has no values, and asks for no slot."""

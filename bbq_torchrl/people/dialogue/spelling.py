@@ -194,10 +194,11 @@ class Spelling:
         kinds, found = self.lexicon.kinds, dict(values)
         times = {slot: minutes_of(v) for slot, v in record.items() if kinds.get(slot) == "time"}
         counts = {s for s in values.keys() - record.keys() if kinds.get(s) == "count"}
+        bare = {*filter(str.isdecimal, tokenize(text))}
         for slot in counts - {*self.named(text, counts)}:
             for time, minutes in times.items():
-                if values[slot] in tokenize(text) and minutes % 720 == 60 * int(values[slot]):
-                    del found[slot]
+                if values[slot] in bare and minutes % 720 == 60 * int(values[slot]):
+                    found.pop(slot, None)
                     found[time] = record[time]
         return found
 
