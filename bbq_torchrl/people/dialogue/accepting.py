@@ -137,8 +137,9 @@ class Accepting:
             asks: whether the whole text asks something.
         """
         frame = reading.frame
-        is_yes = moves.books(text) or moves.ends_in_yes(text) or moves.says(text, "agreeing")
-        if is_yes and not asks:  # "We bring cushions. Book it"
+        is_end = moves.ends_in_yes(text)
+        takes = is_end or moves.books(text) or moves.says(text, "agreeing")
+        if takes and not asks:  # "We bring cushions. Book it"
             known = tuple(one for one in reading.unclear if one.candidates or one.is_denied)
             reading = replace(reading, unclear=known)
         assert before.state is not None
@@ -154,17 +155,15 @@ class Accepting:
         if is_plain and moves.books(text) and not reading.unclear:
             said = self._hear(text, None) if self._hear.is_bare(frame) else reading
             beside = replace(said, confidence=1.0)
-        is_end = moves.ends_in_yes(text)
+        is_heard = is_end or self._agrees(reading, text)
         # "a bit late, but fine, we'll take it", "great, two tickets please"
-        is_yes = is_end or (is_plain and moves.begins_in_yes(text)) or self._agrees(reading, text)
-        if beside is None and is_yes:
+        if beside is None and (is_heard or (is_plain and moves.begins_in_yes(text))):
             beside = reading
         doubts = ["hesitates"] if is_end else ["hesitates", "but"]
         if beside is not None and not asks and not moves.says(rest or text, *doubts):
             told = self._spelling.besides(values_of(beside.frame), offer)
             if self._asks_more(text, offer):
                 return replace(reading, frame=Frame("not_sure")), False
-            is_heard = is_end or self._agrees(reading, text)
             if is_heard and self._hear.is_bare(frame) and not reading.unclear:
                 return Understood(Frame("thanks"), 1.0, source=reading.source), False
             is_repeated = told.items() <= offer.items()
