@@ -25,7 +25,7 @@ from bbq_torchrl.utils import output
 ROOT = Path(__file__).parents[1]
 RESULT = ROOT / "results" / "language.json"
 VOICES = ("terse", "chatty", "nonnative")
-LATER = ("second_held_out", "third_held_out")
+LATER = ("second_held_out", "third_held_out", "strangers")
 """Files of sentences written after the phrases and features."""
 
 _TYPOS, _DRAWS = 0.1, 5

@@ -57,6 +57,7 @@ def _quality() -> str:
     """Returns the accuracy of the language layer, next to its targets."""
     found = read_json("language.json")
     sets = {"first": "free", "second": "second_held_out", "third": "third_held_out"}
+    sets["strangers'"] = "strangers"
     columns = {f"{name} {found[key]['sentences']}": found[key] for name, key in sets.items()}
     columns["beside them"] = found
     cells = {}

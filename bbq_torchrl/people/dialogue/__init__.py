@@ -27,7 +27,7 @@ RULES = {
     "on_file": "A wish for what the fitting records do not say, or for a detail, excludes nothing.",
     "way_out": "If no record has all wishes, or others are asked for, the nearest are offered.",
     "drop": "A wish that the person takes back is dropped, and the agent says so.",
-    "confirm": "What was understood with some doubt is said back; if badly, it is checked.",
+    "confirm": "What was understood with some doubt is said back.",
     "book": '"Book it" makes the agent offer, and after an offer it is a yes.',
     "names": "A name that no record has is asked about.",
     "farewell": "Only words of farewell let a person end the conversation.",

@@ -1,4 +1,4 @@
-"""Replies to a check, a proposal or an offer: a yes, alone or with other content."""
+"""Replies to a proposal or an offer: a yes, alone or with other content."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _SURE = 0.75
 
 
 class Accepting:
-    """Reads the replies to what the agent checks, proposes or offers.
+    """Reads the replies to what the agent proposes or offers.
 
     Args:
         spelling: the spelling of values.
@@ -51,25 +51,6 @@ class Accepting:
         domain = spelling.domain
         self._ticket, self._free = domain.ticket_slot, {*domain.free_slots}
         self._fixed = {*domain.essential} - self._free
-
-    def checked(self, before: Memory, reading: Understood, text: str) -> Understood:
-        """Returns the meaning of a text after "..., is that right?".
-
-        Args:
-            before: the memory before the text.
-            reading: the meaning of the text.
-            text: the person's text.
-        """
-        waiting = before.asking.waiting
-        assert waiting is not None
-        beside = self._beside_yes(before, text, waiting.informs)
-        if self._hear.is_bare(reading.frame) and reading.frame.act in ("confirm_answer", "thanks"):
-            beside = beside or Understood(Frame("inform"), 1.0)
-        if beside is None:
-            return reading
-        if self._hear.is_bare(beside.frame) and not beside.unclear:
-            return replace(reading, frame=waiting, confidence=1.0, unclear=())
-        return replace(beside, confidence=max(beside.confidence, DOUBTFUL))
 
     def proposed(
         self, before: Memory, record: Mapping[str, str], reading: Understood, text: str

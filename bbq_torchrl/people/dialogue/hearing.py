@@ -229,8 +229,7 @@ class Hearing:
         slots = tuple(
             slot
             for slot in moves.taken_back(text, held, lexicon)
-            if told.get(slot, ANY) in (ANY, held.get(slot))
-            or lexicon.place(gone, slot, told[slot]) is not None
+            if told.get(slot, ANY) == ANY or lexicon.place(gone, slot, told[slot]) is not None
         )
         if not slots:
             is_free = bool(told) and set(told.values()) == {ANY}

@@ -146,7 +146,13 @@ class Judge:
     def _having(self, slot: str, values: Iterable[str]) -> set[int]:
         """Returns the records that have one of the values, or a time or a day in it."""
         # Imported here: the language loads torch, which a study's report needs not.
-        from bbq_torchrl.people.language.quantities import is_on, minutes_of, of_evening, span_of
+        from bbq_torchrl.people.language.quantities import (
+            is_on,
+            minutes_of,
+            of_evening,
+            read_date,
+            span_of,
+        )
 
         found = set().union(*(self._rows.get((slot, value), ()) for value in values))
         spans = [] if self._as_simulated else list(filter(None, map(span_of, values)))
@@ -154,9 +160,9 @@ class Judge:
             minutes = of_evening(minutes_of(time)) if own == slot else math.nan
             if any(first <= minutes <= last for first, last in spans):
                 found |= rows
-        weekends = [value for value in values if is_on("sunday", value)]
-        for (own, date), rows in self._rows.items() if weekends and not self._as_simulated else ():
-            if own == slot and is_on(date, weekends[0]):
+        days = [] if self._as_simulated else list(filter(read_date, values))
+        for (own, date), rows in self._rows.items() if days else ():
+            if own == slot and any(is_on(date, day) for day in days):
                 found |= rows
         return found
 

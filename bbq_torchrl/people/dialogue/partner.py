@@ -34,8 +34,6 @@ if TYPE_CHECKING:
 
 
 _MAX_NAMED = 4
-_CHECKED = 0.3
-"""The confidence below which what was heard is checked; above, it is said back in passing."""
 _MAX_DENIED = 4
 """The number of refused offers after which the agent ends the conversation."""
 
@@ -106,7 +104,8 @@ class Partner:
         self._tracking = Tracking(simulator, agent.active)
         self.control = Control(simulator, rules)
         minor = self.control.records.minor & ("names" in self.control.rules)
-        self._fixed = {*self.domain.essential} - {*self.domain.free_slots}
+        self._free = {*self.domain.free_slots}
+        self._fixed = {*self.domain.essential} - self._free
         self._details = {self.domain.slots[n] for n in minor.nonzero().flatten().tolist()}
         self._hear = Hearing(nlu, self._spelling, self.control.rules, self._details)
         self._questions = Questions(self._spelling, self._hear, nlg)
@@ -162,13 +161,13 @@ class Partner:
                 )
             if "way_out" in rules and (found := self._back(before, now, text, words)):
                 return found
-            if "answers_first" in rules and not (before.asking.is_check or moves.takes(text)):
+            if "answers_first" in rules and not moves.takes(text):
                 told = self._questions(record, text, words, near)
             question = self._question(before)
             reading = self._hear(told.rest or text, question)
             if told.text and told.rest:  # "What is the price for two?"
                 free = self._hear(text, question).frame.informs.items()
-                counts = {s: v for s, v in free if s in self.domain.free_slots}
+                counts = {s: v for s, v in free if s in self._free}
                 frame = replace(reading.frame, informs={**counts, **reading.frame.informs})
                 reading = replace(reading, frame=frame)
             if told.text and told.rest and (named := self._elsewhere(before, record, told.rest)):
@@ -179,13 +178,13 @@ class Partner:
                 sure = max(reading.confidence, DOUBTFUL)
                 reading = replace(reading, frame=frame, confidence=sure)
             reading = self._hear.of_record(reading, record, text)
+            reading, lead = self._without_strange(reading, question, words)
         except TextError as error:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
         if not told.text:
-            reading, lead = self._without_strange(reading, question, words)
             turn = _Turn(before, record, question, text, words, moves.says(whole, "question"))
-            answer = self._reply(turn, reading)
-            return _led(_led(answer, lead), untold)
+            return _led(_led(self._reply(turn, reading), lead), untold)
+        told = replace(told, text=f"{told.text} {lead}".strip())
         is_only = (
             not told.rest
             or (moves.is_filler(told.rest) and not reading.frame.informs)
@@ -222,7 +221,7 @@ class Partner:
         clauses = [one for one in moves.sentences(text) if moves.says(one, "back")]
         if not (clauses and before.shown):
             return None
-        reading, free = self._hear(" ".join(clauses), None), self.domain.free_slots
+        reading, free = self._hear(" ".join(clauses), None), self._free
         told = {s: v for s, v in values_of(reading.frame).items() if s not in free}
         kinds = self._spelling.lexicon.kinds
         is_strange = any(kinds[one.slot] == "text" for one in reading.unclear)  # "in Anchorage"
@@ -317,7 +316,7 @@ class Partner:
     def _to_what_stands(
         self, turn: _Turn, now: Memory, reading: Understood, others: bool
     ) -> Answer | tuple[Memory, Understood, bool, bool]:
-        """Returns a reading as a reply to what is checked, proposed or offered.
+        """Returns a reading as a reply to what is proposed or offered.
 
         Args:
             turn: the turn.
@@ -334,19 +333,13 @@ class Partner:
         is_refused = not turn.asks or moves.says(text, "no_first")
         is_no_more = is_no(text) or (is_denied and is_refused)
         is_booked = False
-        if before.asking.is_check:
-            if is_no_more:
-                again = Understood(Frame("not_sure"), 0.0)
-                now = replace(now, asking=Asking(before.asking.times))
-                return self._ask_again(now, again, self._nlg.clarify(again, **words))
-            reading = self._accepting.checked(before, reading, text)
-        elif before.proposal:
+        if before.proposal:
             says_yes = moves.beside_yes(text) is not None or moves.ends_in_yes(text)
             takes = not others or (says_yes and not moves.says(text, "question"))
             if takes and (found := self._accepting.proposed(before, turn.record, reading, text)):
-                # Who has told or read all of it need not read it again.
                 taken, is_yes = found
-                is_booked = is_yes and self._ways_out.is_whole(before, values_of(taken.frame))
+                told = {s: v for s, v in values_of(taken.frame).items() if s in self._free}
+                is_booked = is_yes and self._ways_out.is_complete(before, told)
                 is_booked &= not moves.others(text)
                 return replace(now, proposal={}), taken, False, is_booked and not turn.asks
             if is_no_more and not others:
@@ -387,19 +380,9 @@ class Partner:
         is_unheard = self._hear.is_bare(reading.frame) or moves.says(text, "detail")
         if is_question and is_unheard and not (reading.unclear or values_of(reading.frame)):
             return self._say(now, self._nlg.say("unknown_question", **words), reading)
-        values = values_of(understood)
-        if reading.unclear or not values or "confirm" not in rules:
+        if reading.unclear or not values_of(understood) or "confirm" not in rules:
             return self._ask_again(now, reading, self._nlg.clarify(reading, **words))
-        # A question that was not heard is no plain sentence.
-        is_heard = bool({*reading.frame.requests} - {self.domain.ticket_slot})
-        # An echo asks no more than what it names: "barbie in reno??"
-        is_heard |= moves.asks_whether_any(text) or not moves.says(text.rstrip(" ?"), "question")
-        is_plain = self._spelling.is_named(text, values) and is_heard
-        if is_plain or turn.before.asking.is_check or reading.confidence >= _CHECKED:
-            return None
-        now = replace(now, asking=now.asking.checking(reading))
-        sentence = self._nlg.say("check", values=values, **words)
-        return Answer(sentence, reading, reading.frame, Frame("not_sure", values), now)
+        return None
 
     def _is_detail(self, words: str, reading: Understood) -> bool:
         """Returns whether words that may ask for others are a detail that was heard: "nearest"."""
@@ -478,9 +461,7 @@ class Partner:
     def _elsewhere(self, before: Memory, record: Mapping[str, str], rest: str) -> dict[str, str]:
         """Returns the values by which the rest of a text names another record, to ask about it."""
         reading = self._narrowed(self._hear(rest, None), rest, before, record)
-        named = {
-            s: v for s, v in values_of(reading.frame).items() if s not in self.domain.free_slots
-        }
+        named = {s: v for s, v in values_of(reading.frame).items() if s not in self._free}
         is_sure = reading.confidence >= DOUBTFUL or self._spelling.is_named(rest, named)
         is_other = any(record.get(slot, value) != value for slot, value in named.items())
         return named if is_sure and is_other and not moves.asks_whether_any(rest) else {}
@@ -619,7 +600,8 @@ class Partner:
         """Returns an act and the state after it.
 
         A value that no record has with the others is that of another slot, if a record has all of
-        them then: "tonight" is a date, or a time. A part of the day is else a time in it.
+        them then: "tonight" is a date, or a time. A part of the day is else a time in it, and
+        a day a part of it.
         """
         lexicon, informs = self._spelling.lexicon, values_of(understood)
         understood, state = self._told(before, understood)
@@ -634,8 +616,8 @@ class Partner:
                 if not self.control.records.best(full(found))[2]:
                     return moved, found
         is_stuck = self.control.is_stuck(state)
-        if is_stuck and (time := self._ways_out.in_time(state)):
-            timed = replace(understood, informs={**understood.informs, **time})
+        if is_stuck and (part := self._ways_out.within(state)):
+            timed = replace(understood, informs={**understood.informs, **part})
             found = self._acting.hear(before, timed)
             if not self.control.is_stuck(found):
                 return timed, found

@@ -54,7 +54,8 @@ class Questions:
     ) -> None:
         self._spelling, self._hear, self._nlg = spelling, hear, nlg
         domain = spelling.domain
-        self._free = {*domain.free_slots, *domain.special_slots}
+        self._special = {*domain.special_slots}
+        self._free = {*domain.free_slots} | self._special
         self._spoken_of = {action.slot for action in domain.actions}
 
     def __call__(
@@ -144,7 +145,7 @@ class Questions:
         is_guess = reading.confidence < DOUBTFUL
         is_detail = moves.says(sentence, "detail") and meant.keys().isdisjoint(self._spoken_of)
         is_detail &= is_guess or all(has[slot] or slot not in record for slot in meant)
-        asked = {*reading.frame.requests} - self._free
+        asked = {*reading.frame.requests} - (self._free - record.keys()) - self._special
         is_echo = bool(meant) and all(has.values())
         is_echo &= not (asked or moves.says(sentence.rstrip(" ?"), "question"))
         if is_detail or is_echo or (is_whether and meant):
@@ -160,7 +161,7 @@ class Questions:
             return self._nlg.say("no" if is_gone else "yes", **words), {}, True
         if asked and not meant:
             told = {slot: record.get(slot, NO_MATCH_TEXT) for slot in sorted(asked)}
-            return self._nlg.agent(Frame("inform", told), **words), told, True
+            return self._nlg.agent(Frame("inform", told), record, **words), told, True
         if not (asked or reading.frame.informs) and (is_guess or not meant):
             return self._nlg.say("unknown_question", **words), {}, True
         return None
@@ -209,7 +210,7 @@ class Questions:
         if not told:
             use = "no_promise" if untold else "unknown_question"
             return self._nlg.say(use, values=untold, **words), {}, False
-        answer = self._nlg.agent(Frame("inform", told), **words)
+        answer = self._nlg.agent(Frame("inform", told), record, **words)
         if " or " not in sentence:  # "each, or for both?" is no matter of yes or no
             lead = self._nlg.say("yes" if len(untold) == len(missing) else "no", **words)
             answer = f"{lead} {answer}"

@@ -12,6 +12,7 @@ from bbq_torchrl.domains.values import FIRST_VALUE, NONE
 from bbq_torchrl.people.language.quantities import (
     about_minutes,
     day_of,
+    is_on,
     kind_of,
     minutes_of,
     of_evening,
@@ -62,10 +63,10 @@ def completed(domain: Domain) -> tuple[Mapping[str, str], ...]:
 class Records:
     """Compares records with the values that a tracker holds.
 
-    A record contradicts a value if it has another one; without the slot it only lacks the value, as
-    with another value of a minor slot. A record of a known place contradicts a wider place that
-    others have and that nothing told implies: a record in Reno "in California". Values of free
-    slots, reserved values and no value never count.
+    A record contradicts a value if it has another one. Without the slot it only lacks the value, as
+    with another value of a minor slot, unless the dialogue is about that slot. A record of a known
+    place contradicts a wider place that others have and that nothing told implies: a record in Reno
+    "in California". Values of free slots, reserved values and no value never count.
 
     Args:
         domain: the domain's tensors.
@@ -93,7 +94,7 @@ class Records:
         # What a place determines and determines nothing, as a state.
         self._is_wide = self.determines[self._is_place].any(0) & ~self.determines.any(1)
         self._is_placed = (self.has[:, :, None] & self.determines).any(1)
-        self._contradicts = self.has & ~self.minor
+        self._contradicts = (self.has | domain.opening) & ~self.minor
         self._costs = costs + _OPENING * domain.opening
         self.opening, self.lasting = domain.opening, self._is_place | domain.opening
         self._minutes = {
@@ -104,10 +105,11 @@ class Records:
         self._is_vague = torch.zeros(len(self.has), dtype=torch.bool)
         for slot, minutes in self._minutes.items():
             self._is_vague |= minutes[self._values[:, slot]].isnan() & self.has[:, slot]
-        self._days = {
-            slot: _numbered([day_of(text) for text in domain.vocabulary[slot]])
-            for slot, kind in enumerate(kinds)
-            if kind == "date"
+        dates = {slot: domain.vocabulary[slot] for slot, kind in enumerate(kinds) if kind == "date"}
+        self._days = {slot: _numbered([*map(day_of, texts)]) for slot, texts in dates.items()}
+        self._is_on = {  # of its first date and its second
+            slot: torch.tensor([[is_on(day, of) for of in texts] for day in texts])
+            for slot, texts in dates.items()
         }
 
     def compare(self, held: Tensor) -> tuple[Tensor, Tensor]:
@@ -153,16 +155,20 @@ class Records:
         return differs, lacks, distance
 
     def parts(self, held: Tensor) -> dict[int, Tensor]:
-        """Returns, for each vague time held, which records have a time in it, bool ``[R]``."""
+        """Returns, for each vague time or day held, which records are in it, bool ``[R]``."""
         found = {}
         for number, minutes in self._minutes.items():
             if (span := span_of(self.vocabulary[number][held[number]])) is not None:
                 times = minutes[self._values[:, number]]
                 found[number] = (times >= span[0]) & (times <= span[1])
+        for number, are_on in self._is_on.items():
+            is_in = are_on[self._values[:, number], held[number]]
+            if (is_in & (self._values[:, number] != held[number])).any():
+                found[number] = is_in
         return found
 
     def _misses(self, held: Tensor) -> tuple[Tensor, Tensor]:
-        """Compares, bool ``[R, S]`` twice; a part of the day has the times in it."""
+        """Compares, bool ``[R, S]`` twice; a vague time or day has what is in it."""
         differs, lacks = self.compare(held)
         for number, is_in in self.parts(held).items():
             differs[:, number] &= ~is_in
@@ -230,7 +236,7 @@ class Records:
             if direction and not minutes[held[number]].isnan():
                 cost += torch.where(away * direction > 0, 0.0, torch.inf)
         is_out = ~exactly.any(-1) if slot is None else ~exactly[:, slot]
-        is_out |= ~self.has[:, list(has)].all(-1)
+        is_out |= ~self.has[:, list(has)].all(-1) | (exactly & ~self.has).any(-1)
         if stays is not None:
             stays = stays & (torch.arange(len(held)) != slot)
             is_out |= ((others[0] | others[1]) & stays).any(-1)
@@ -290,7 +296,9 @@ class Records:
         others[slot] = NONE
         differs, lacks = self._misses(others)
         fits = ~(differs | (lacks & ~self.minor)).any(-1) & self.has[:, slot]
-        fits &= self.parts(held).get(slot, True) & ~self._is_elsewhere(lacks)
+        fits &= ~self._is_elsewhere(lacks)
+        if slot in self._minutes:
+            fits &= self.parts(held).get(slot, True)
         has = fits & self.has[:, list(asked)].all(-1)
         fits = has if has.any() else fits
         missing = torch.where(fits, lacks.sum(-1), len(held))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise, product
+from math import isnan
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -19,7 +20,7 @@ from bbq_torchrl.people.dialogue.tracking import full
 from bbq_torchrl.people.language import Frame
 from bbq_torchrl.people.language.asking import Asking
 from bbq_torchrl.people.language.generator import MAX_CHOICES
-from bbq_torchrl.people.language.quantities import about_minutes, minutes_of
+from bbq_torchrl.people.language.quantities import about_minutes, is_on, minutes_of
 from bbq_torchrl.people.language.words import tokenize
 
 if TYPE_CHECKING:
@@ -43,8 +44,8 @@ change."""
 class WaysOut:
     """Proposes records near to the wishes.
 
-    A proposal names what differs from the wishes and where and when the record is. Who takes it
-    wishes all of that.
+    A proposal names where and when the record is, for how many, and what differs from the wishes.
+    Who takes it wishes all of that.
 
     Args:
         spelling: the spelling of values.
@@ -71,8 +72,7 @@ class WaysOut:
         self._tracking, self._records, self._nlg = tracking, records, nlg
         self._place, domain, kinds = place, spelling.domain, spelling.lexicon.kinds
         self._free = torch.tensor([slot in domain.free_slots for slot in domain.slots])
-        special = {*domain.special_slots}
-        self._own = self._free & torch.tensor([slot not in special for slot in domain.slots])
+        self._own = {*domain.essential} & {*domain.free_slots} - {*domain.special_slots}
         index, asked = domain.slots.index, {action.slot for action in domain.actions}
         self._listed = {slot for slot in kinds if slot in asked and records.is_listed(index(slot))}
         names = [slot for slot in kinds if slot in asked and kinds[slot] == "text"]
@@ -398,7 +398,7 @@ class WaysOut:
                 left = (max(said, key=len),)
             if self._lexicon.kinds[one.slot] == "time":  # the nearest time, if none fits
                 left = left or one.candidates[:1]
-            elif len(one.candidates) > 1:  # which of them, though none fits
+            elif len(one.candidates) > 1 or self._records.minor[number]:  # though none fits
                 left = left or one.candidates
             if len(left) == 1:
                 informs[one.slot] = left[0]
@@ -502,28 +502,16 @@ class WaysOut:
         row = self._records.row(held, change, refused)
         return self._tracking.values(torch.where(self._free & (held >= FIRST_VALUE), held, row))
 
-    def is_whole(self, memory: Memory, told: Mapping[str, str]) -> bool:
-        """Returns whether all of a proposed record was told, or is in the proposal.
+    def is_complete(self, memory: Memory, told: Mapping[str, str]) -> bool:
+        """Returns whether nothing is missing to book a proposal, such as for how many.
 
         Args:
             memory: the memory with the proposal.
-            told: what the reply to it tells; it may add for how many, and change nothing.
+            told: what the reply to it tells.
         """
-        assert memory.state is not None
-        held, proposed = full(memory.state), torch.tensor(self._tracking.ids(memory.proposal))
-        row, news = (torch.tensor(self._tracking.ids(of)) for of in (self.nearest(memory), told))
-        is_added = self._own & (held < FIRST_VALUE) & (news != NONE)
-        held = torch.where(is_added, news, held)
-        is_told = (memory.state["wished"] > 0) & (held == row) | (proposed != NONE)
-        # What the record does not say was owned up to.
-        is_met = (held < FIRST_VALUE) | (held == row) | (row == NONE) | (proposed != NONE)
-        is_met |= is_added
-        is_own = self._place & self._own
-        is_missing = (self._place & (row != NONE) & ~(is_told | is_added)) | (
-            is_own & (held < FIRST_VALUE)
-        )
-        is_same = ~self._own | (news == NONE) | (news == held)
-        return bool((is_met & is_same & ~is_missing).all())
+        known = self._tracking.kept(memory.state)
+        is_same = all(known.get(slot, value) == value for slot, value in told.items())
+        return is_same and self._own <= {*values_of(known), *told}
 
     def lasting(self, values: Mapping[str, str]) -> dict[str, str]:
         """Returns what some values are about and where, as the city of a zip code."""
@@ -557,16 +545,20 @@ class WaysOut:
             if is_tied[one[0], other[0]] and not self._records.with_any([[one, other]]).any()
         }
 
-    def in_time(self, state: TensorDict) -> dict[str, str]:
-        """Returns the time nearest to a part of the day held, of a record with all else, if any."""
+    def within(self, state: TensorDict) -> dict[str, str]:
+        """Returns the time or day nearest to what is held, in it and of a record with all else."""
         held = full(state)
         for number in self._records.parts(held):
             names = self._records.vocabulary[number]
-            times = [names[value] for value in self._records.choices(held, number)]
-            middle = about_minutes(names[held[number]])
-            if times:
-                time = min(times, key=lambda one: abs(minutes_of(one) - middle))
-                return {self._slots[number]: time}
+            wish, choices = names[held[number]], self._records.choices(held, number)
+            middle = about_minutes(wish)
+            found = [names[value] for value in choices]
+            if not isnan(middle):
+                found.sort(key=lambda one: abs(minutes_of(one) - middle))
+            else:
+                found = [day for day in found if is_on(day, wish)]
+            if found:
+                return {self._slots[number]: found[0]}
         return {}
 
     def refuse(self, now: Memory) -> Memory:
@@ -586,7 +578,7 @@ class WaysOut:
     ) -> Answer:
         """Returns the proposal of a record, or the question what may change.
 
-        The second time in a row it names the whole record, and then asks what may change.
+        After it was made twice in a row it asks what may change.
 
         Args:
             now: the memory, with the state after the person's act.
@@ -613,15 +605,11 @@ class WaysOut:
             sentence = self._nlg.say("nothing", names, **words)
             now, sentence = replace(now, proposal={}, times=0), f"{lead} {sentence}".strip()
             return Answer(sentence, reading, reading.frame, Frame("not_sure"), now)
-        is_near = not conflict or records.is_same_day(held, change)
-        use, named = "another" if is_near else "way_out", proposal
-        if proposal == now.proposal:
-            use, named = "whole", self._tracking.values(torch.where(self._place, row, ids))
-        shown = self._tracking.values(self._place * row)
-        if is_near:  # "is there one at 7?"
-            said = values_of(reading.frame)
-            named = {**named, **{s: v for s, v in shown.items() if said.get(s) == v}}
-        sentence = self._nlg.say(use, values=conflict, other=named or shown, **words)
+        use = "another" if not conflict or records.is_same_day(held, change) else "way_out"
+        shown = self._tracking.values(torch.where(self._place, row, ids))
+        known = values_of(self._tracking.kept(now.state))
+        shown |= {slot: value for slot, value in known.items() if slot in self._own}
+        sentence = self._nlg.say(use, values=conflict, other=shown, **words)
         if not lead and (lost := self._lost(now, held, row, conflict)):
             lead = self._nlg.say("no_promise", values=lost, **words)
         sentence = f"{lead} {sentence}".strip()

@@ -77,7 +77,6 @@ class Asking:
         waiting: the act understood so far, without the unclear value.
         slot: the slot it asked about; empty if it asked the user to rephrase.
         choices: the candidate values of the slot, if any.
-        is_check: whether it asked for confirmation of ``waiting``.
 
     Examples:
         >>> from bbq_torchrl.people.language import Unclear, Understood
@@ -94,7 +93,6 @@ class Asking:
     waiting: Frame | None = None
     slot: str = ""
     choices: tuple[str, ...] = ()
-    is_check: bool = False
 
     def asks(
         self,
@@ -129,18 +127,12 @@ class Asking:
         waiting = self.joined(understood.frame)
         return Asking(self.times + 1, waiting, unclear.slot, unclear.candidates)
 
-    def checking(self, understood: Understood) -> Asking:
-        """Returns the questions after the system has asked for confirmation."""
-        return Asking(self.times + 1, self.joined(understood.frame), is_check=True)
-
     def question(self, said: Frame | None) -> Frame | None:
         """Returns the act that the next text answers.
 
         Args:
             said: the agent's last act; ``None`` before its first.
         """
-        if self.is_check:
-            return Frame("confirm_question")
         if self.choices:
             return Frame("multiple_choice", {}, (self.slot,), self.choices)
         return Frame("request", {}, (self.slot,)) if self.slot else said
@@ -150,10 +142,9 @@ class Asking:
         is_of_values = frame.act in ("inform", "request", "confirm_question")
         if self.waiting is None or not (frame.informs or frame.requests or is_of_values):
             return frame  # "No, goodbye."
-        act = "inform" if self.is_check and frame.act == "deny" else frame.act  # "No, at 7."
         requests = tuple(dict.fromkeys((*self.waiting.requests, *frame.requests)))
         informs = {**self.waiting.informs, **frame.informs}
-        return Frame("request" if requests else act, informs, requests)
+        return Frame("request" if requests else frame.act, informs, requests)
 
 
 def repeated(meant: Frame, asked: Sequence[str]) -> Frame:

@@ -7,7 +7,9 @@ import math
 import random
 import re
 from collections.abc import Mapping, Sequence
+from functools import reduce
 from itertools import combinations
+from types import MappingProxyType
 from typing import Any
 
 from bbq_torchrl.domains import Domain, fold
@@ -16,13 +18,14 @@ from bbq_torchrl.people.language.asking import Understood
 from bbq_torchrl.people.language.composer import Composer
 from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.phrases import Piece, Template, choose, plain
-from bbq_torchrl.people.language.quantities import minutes_of
+from bbq_torchrl.people.language.quantities import day_at, minutes_of
 from bbq_torchrl.people.language.words import pairs, word_set
 
 _MAX_IN_CONFLICT = 4
 MAX_CHOICES = 5
 """The number of choices that a sentence names."""
 
+_ALONE: Mapping[str, str] = MappingProxyType({})
 _NO_WISH = (ANY, NO_MATCH_TEXT, AVAILABLE_TEXT)
 
 # Values that include their preposition: "it starts after 10pm", "it is tomorrow".
@@ -189,7 +192,7 @@ class Generator:
         session: str | int = 0,
         turn: int = 0,
     ) -> str:
-        """Returns an agent's sentence of one of the uses in the phrases, such as ``check``.
+        """Returns an agent's sentence of one of the uses in the phrases, such as ``booked``.
 
         Args:
             use: the use.
@@ -232,7 +235,8 @@ class Generator:
         if self._kinds.get(slot) == "time" and math.isnan(minutes_of(value)):  # "after work"
             words = {"<choices>": [Piece(value)]}
             return self._fill(self._phrases.agent["no_clock"], rng, slot, words)
-        said = {"<wishes>": self._wishes(wishes, rng), slot: [Piece(self._written(slot, value))]}
+        written = self._written(slot, value, wishes)
+        said = {"<wishes>": self._wishes(wishes, rng), slot: [Piece(written)]}
         return self._fill(phrases["tell"], rng, slot, said)
 
     def conflict(self, wishes: Mapping[str, str]) -> tuple[str, ...]:
@@ -269,12 +273,17 @@ class Generator:
             if said:
                 said.append(Piece(", "))
             phrases = self._phrases.slots[slot].phrases["wish"]
-            said += self._fill(phrases, rng, slot, {slot: [Piece(self._written(slot, value))]})
+            said += self._fill(
+                phrases, rng, slot, {slot: [Piece(self._written(slot, value, wishes))]}
+            )
         return said or [Piece("as you wish")]
 
-    def _written(self, slot: str, value: str) -> str:
-        """Returns a value as agents write it."""
+    def _written(self, slot: str, value: str, beside: Mapping[str, str] = _ALONE) -> str:
+        """Returns a value as agents write it beside others: no "tonight, 10:05 am"."""
         capitals = self._phrases.slots[slot].capitals
+        if self._kinds.get(slot) == "date":
+            times = (text for other, text in beside.items() if self._kinds.get(other) == "time")
+            value = reduce(day_at, times, value)
         return value if capitals is None else capitalized(value, capitals)
 
     def _fill(

@@ -265,8 +265,29 @@ def day_of(text: str) -> str:
 
 
 def is_on(day: str, of: str) -> bool:
-    """Returns whether a date is in another, as Sunday night in this weekend."""
-    return day_of(of) == "weekend" and day_of(day) in ("saturday", "sunday")
+    """Returns whether a date is in another one, as Sunday night is on Sunday and at the weekend."""
+    own, whole = day_of(day), day_of(of)
+    is_whole = whole == (read_date(of) or of)
+    return is_whole and (own == whole or (whole == "weekend" and own in ("saturday", "sunday")))
+
+
+def day_at(date: str, time: str) -> str:
+    """Returns a date without its part of the day where a time is not in that.
+
+    Examples:
+        >>> [day_at(date, "10:05 am") for date in ("tonight", "friday night", "friday")]
+        ['today', 'friday', 'friday']
+        >>> day_at("tonight", "8 pm")
+        'tonight'
+    """
+    part = next((word for word in (read_date(date) or "").split() if word in PART_WORDS), "")
+    first, last = span_of(part) or (-math.inf, math.inf)
+    minutes = of_evening(minutes_of(time))
+    if math.isnan(minutes) or first <= minutes <= last:
+        return date
+    if day_of(date) == "today":
+        return "today"
+    return " ".join(word for word in date.split() if word not in PART_WORDS)
 
 
 def _read_clock(words: list[str]) -> tuple[int, int, bool] | None:

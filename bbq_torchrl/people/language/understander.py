@@ -40,7 +40,7 @@ from bbq_torchrl.people.language.training_lines import (
 from bbq_torchrl.people.language.words import words_of
 from bbq_torchrl.utils.files import write_bytes
 
-SENTENCES = 9_300
+SENTENCES = 8_600
 """The maximum number of people's sentences to learn from."""
 
 THRESHOLD = 0.65

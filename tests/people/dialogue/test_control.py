@@ -85,7 +85,6 @@ WHOLE = {
     "acted": lambda answer: answer.acted,
     "ended": lambda answer: answer.ended,
     "control": lambda answer: [*answer.control],
-    "checks": lambda answer: answer.memory.asking.is_check,
     "waiting": lambda answer: str(answer.memory.asking.waiting),
     "proposal": lambda answer: answer.memory.proposal,
     "offered": lambda answer: answer.memory.state["offered"],

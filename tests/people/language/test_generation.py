@@ -122,7 +122,14 @@ def test_agents_write_an_before_a_vowel(movie, tmp_path):
 
 def test_agents_write_names_as_titles_and_one_in_the_singular(mouth):
     wishes = {"moviename": "dune: part two", "state": "wa", "numberofpeople": "1"}
-    texts = [mouth.say("check", values=wishes, session=session) for session in range(20)]
+    texts = [mouth.say("understood", values=wishes, session=session) for session in range(20)]
     assert all("Dune: Part Two" in text and "WA" in text for text in texts)
     assert not any(re.search("1 (people|tickets)", text) for text in texts)
     assert any(re.search("1 (person|ticket)", text) for text in texts)
+
+
+def test_a_part_of_the_day_is_left_out_where_the_time_is_not_in_it(mouth):
+    for time, day in (("10:05 am", "today"), ("8 pm", "tonight")):
+        shown = {"date": "tonight", "starttime": time}
+        assert f"{day}, " in mouth.say("understood", values=shown).lower()
+        assert day in mouth.agent(Frame("inform", {"date": "tonight"}), shown)

@@ -33,7 +33,7 @@ def test_an_answer_is_read_in_the_light_of_the_question(understand, answer):
 
 
 def test_what_may_be_two_values_is_asked_about_not_picked(understand):
-    heard = understand("the godzilla movie", Frame("request", {}, ("moviename",)))
+    heard = understand("godzilla", Frame("request", {}, ("moviename",)))
     (unclear,) = heard.unclear
     assert set(unclear.candidates) == {"godzilla minus one", "godzilla x kong: the new empire"}
     assert heard.frame == Frame("inform")
