@@ -98,6 +98,7 @@ class Hearing:
             slot: value
             for slot, value in informs.items()
             if not (kinds.get(slot) == "time" and value in days)
+            and not self._is_too(words, slot, value)
             and not (slot not in asked and is_no(value) and moves.begins_with(text, value))
         }
         unclear = tuple(
@@ -133,6 +134,11 @@ class Hearing:
         place = self._spelling.lexicon.place(words, slot, value)
         is_text = self._spelling.lexicon.kinds.get(slot) == "text" and len(words) > _SHORT
         return is_text and place is not None and {*words[place.start : place.stop]} <= SMALL
+
+    def _is_too(self, words: list[str], slot: str, value: str) -> bool:
+        """Returns whether a text complains of a detail, which is no wish: "too scary for her"."""
+        place = self._spelling.lexicon.place(words, slot, value) if slot in self._details else None
+        return place is not None and words[: place.start][-1:] == ["too"]
 
     def of_record(
         self, reading: Understood, record: Mapping[str, str], text: str = ""
@@ -229,7 +235,8 @@ class Hearing:
         slots = tuple(
             slot
             for slot in moves.taken_back(text, held, lexicon)
-            if told.get(slot, ANY) == ANY or lexicon.place(gone, slot, told[slot]) is not None
+            if (told.get(slot, ANY) == ANY and (slot in held or slot not in self._details))
+            or lexicon.place(gone, slot, told.get(slot, "")) is not None
         )
         if not slots:
             is_free = bool(told) and set(told.values()) == {ANY}

@@ -304,7 +304,10 @@ class Partner:
             answer = _led(answer, self._nlg.say("no_promise", values=absent, **turn.words))
         if (is_unsure or others) and (unsaid := self._unsaid(before, answer)):
             answer = _led(answer, self._nlg.say("understood", values=unsaid, **turn.words))
-        is_found = answer.acted and not answer.memory.proposal and bool(values_of(understood))
+        proposal, held = answer.memory.proposal, self._tracking.kept(answer.memory.state)
+        is_met = all(proposal.get(slot, value) == value for slot, value in held.items())
+        is_found = is_met and bool(answer.acted or answer.answered.choices or proposal)
+        is_found &= bool(values_of(understood))
         asking = [one for one in moves.sentences(text) if moves.asks_whether_any(one)]
         if asking and is_found and not absent:
             is_heard = any(values_of(self._hear(one, None).frame) for one in asking)
@@ -445,8 +448,9 @@ class Partner:
         found = [answer for answer in alternatives if answer is not None]
         if not found:
             return None
-        # The last is what the next text replies to.
-        *leads, last = sorted(found, key=lambda a: bool(a.memory.proposal or a.answered.choices))
+        # The last is what the next text replies to; there is one proposal at most.
+        last = max(found, key=lambda a: (bool(a.memory.proposal), bool(a.answered.choices)))
+        leads = [one for one in found if one is not last and not one.memory.proposal]
         texts = [moves.without_question(answer.text) for answer in leads]
         return _led(last, " ".join(one for one in texts if one not in last.text))
 
@@ -534,9 +538,10 @@ class Partner:
             return replace(found, understood=understood)
         is_asked = acted.answered.act == "request" and self._fixed & {*acted.answered.requests}
         if state is not None and is_asked and not (is_denied or now.proposal):
-            rare = self._ways_out.rare(replace(now, state=state), reading, words, asked)
-            if rare is not None:
-                return replace(rare, understood=understood)
+            now_told, slot = replace(now, state=state), acted.answered.requests[0]
+            found = self._ways_out.unasked(now_told, reading, words, slot, asked)
+            if found is not None:
+                return replace(found, understood=understood)
         sentences = [self._nlg.agent(act, kept, **words) for act, kept in acted.parts]
         if state is not None:
             told = {s: v for act, _ in acted.parts for s, v in act.informs.items() if s in asked}

@@ -11,6 +11,7 @@ from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.values import FIRST_VALUE, NONE
 from bbq_torchrl.people.language.quantities import (
     about_minutes,
+    day_at,
     day_of,
     is_on,
     kind_of,
@@ -63,10 +64,10 @@ def completed(domain: Domain) -> tuple[Mapping[str, str], ...]:
 class Records:
     """Compares records with the values that a tracker holds.
 
-    A record contradicts a value if it has another one. Without the slot it only lacks the value, as
-    with another value of a minor slot, unless the dialogue is about that slot. A record of a known
-    place contradicts a wider place that others have and that nothing told implies: a record in Reno
-    "in California". Values of free slots, reserved values and no value never count.
+    A record contradicts a value that it does not have, but only lacks that of a minor slot and a
+    wider place not on file, as its state. It contradicts that, too, if others have it and nothing
+    told implies it: a record in Reno "in California". Values of free slots, reserved values and no
+    value never count.
 
     Args:
         domain: the domain's tensors.
@@ -93,8 +94,7 @@ class Records:
         self._is_place = self.determines.any(0) & ~self.minor
         # What a place determines and determines nothing, as a state.
         self._is_wide = self.determines[self._is_place].any(0) & ~self.determines.any(1)
-        self._is_placed = (self.has[:, :, None] & self.determines).any(1)
-        self._contradicts = (self.has | domain.opening) & ~self.minor
+        self._contradicts = (self.has | ~self._is_wide) & ~self.minor
         self._costs = costs + _OPENING * domain.opening
         self.opening, self.lasting = domain.opening, self._is_place | domain.opening
         self._minutes = {
@@ -102,10 +102,14 @@ class Records:
             for slot, kind in enumerate(kinds)
             if kind == "time"
         }
+        dates = {slot: domain.vocabulary[slot] for slot, kind in enumerate(kinds) if kind == "date"}
         self._is_vague = torch.zeros(len(self.has), dtype=torch.bool)
         for slot, minutes in self._minutes.items():
             self._is_vague |= minutes[self._values[:, slot]].isnan() & self.has[:, slot]
-        dates = {slot: domain.vocabulary[slot] for slot, kind in enumerate(kinds) if kind == "date"}
+            for date, texts in dates.items():  # "tonight at 10:05 am"
+                pairs = zip(*self._values[:, [date, slot]].T.tolist(), strict=True)
+                fits = [day_at(texts[d], self.vocabulary[slot][t]) == texts[d] for d, t in pairs]
+                self._is_vague |= ~torch.tensor(fits)
         self._days = {slot: _numbered([*map(day_of, texts)]) for slot, texts in dates.items()}
         self._is_on = {  # of its first date and its second
             slot: torch.tensor([[is_on(day, of) for of in texts] for day in texts])
@@ -126,7 +130,7 @@ class Records:
         equal = self._values == held[..., None, :]
         is_place = self._is_place & ~is_implied & equal.any(-2)
         misses = told[..., None, :] & ~equal
-        differs = misses & (self._contradicts | (is_place[..., None, :] & self._is_placed))
+        differs = misses & (self._contradicts | is_place[..., None, :])
         return differs, misses & ~differs
 
     def _distances(self, differs: Tensor, lacks: Tensor) -> Tensor:

@@ -121,7 +121,7 @@ class WaysOut:
                 return None
             return self.alternative(now, reading, words)
         slot = self._slots[number]
-        if slot in news and self._names_another(text, slot, informs[slot]):
+        if slot in news and self._names_another(text, slot, informs.get(slot, "")):
             return None
         named = self._flags({slot, *stays})
         proposed = torch.tensor(self._tracking.ids(now.proposal))
@@ -144,7 +144,7 @@ class WaysOut:
         if len(found) < 2 and not (way or end):  # leave out what the agent chose
             base = torch.where(is_wish, held, NONE)
             found = self._choices(now, base, number, is_other=is_other) or found
-        if len(found) > 1:
+        if len(found) > 1 and not (is_time[number] and len(found) > _FEW):
             values = tuple(records.vocabulary[number][value] for value in found)
             return self._several(now, reading, slot, values, words)
         # The wishes stay, unless none has them all.
@@ -322,33 +322,44 @@ class WaysOut:
             change = self._records.nearest(full(now.state), asked=asked)
         return self.propose(now, reading, change, words, asked)
 
-    def rare(
-        self, now: Memory, reading: Understood, words: dict[str, Any], requests: Sequence[str]
+    def unasked(
+        self,
+        now: Memory,
+        reading: Understood,
+        words: dict[str, Any],
+        slot: str,
+        requests: Sequence[str],
     ) -> Answer | None:
-        """Returns the proposal of a record that has wishes which few records have, if any has all.
+        """Returns what is said instead of asking for a slot, if there is little to choose from.
 
-        Who wishes something rare is shown it, instead of asked for what it determines: "near my
-        hotel" is in a city.
+        It is the proposal of the one record left, or of one that has a wish which few records have
+        ("near my hotel" is in a city), or the few values that are left.
 
         Args:
             now: the memory, with the state after the person's act.
             reading: the meaning of the text.
             words: what determines the words.
+            slot: the slot.
             requests: the slots asked for; the proposal tells their values.
         """
         assert now.state is not None
-        held = full(now.state)
+        held, number = full(now.state), self._slots.index(slot)
+        names = self._records.vocabulary[number]
+        choices = tuple(names[value] for value in self._choices(now, held, number, is_other=False))
         details = self._records.minor & (held >= FIRST_VALUE) & (now.state["wished"] > 0)
         differs, lacks = self._records.compare(held)
         count = int((~(differs | lacks).any(-1)).sum())
-        if now.refused or not (details.any() and 0 < count <= _FEW):
-            return None
+        is_rare = bool(details.any()) and 0 < count <= _FEW
         row = self._records.row(held, {})
         is_open = self._place & (held < FIRST_VALUE) & (row != NONE)
-        told = (is_open | details).nonzero().flatten().tolist()
-        change = {slot: int(row[slot]) for slot in told} if is_open.any() else {}
-        asked = [self._slots.index(slot) for slot in requests]
-        return self.propose(now, reading, change, words, asked) if change else None
+        if not now.refused and is_open.any() and (is_rare or len(choices) == 1):
+            told = (is_open | details).nonzero().flatten().tolist()
+            asked = [self._slots.index(one) for one in requests]
+            return self.propose(now, reading, {n: int(row[n]) for n in told}, words, asked)
+        is_known = slot == self._thing or held[self._slots.index(self._thing)] >= FIRST_VALUE
+        if is_known and not requests and 1 < len(choices) < MAX_CHOICES:
+            return self._several(now, reading, slot, choices, words)
+        return None
 
     def on_file(
         self, now: Memory, reading: Understood, words: dict[str, Any], told: Mapping[str, str]
@@ -361,10 +372,9 @@ class WaysOut:
             words: what determines the words.
             told: the answers to the text, by slot.
         """
-        assert now.state is not None
         needed = self._spelling.domain.essential
         asked = [self._slots.index(slot) for slot in needed if told.get(slot) == NO_MATCH_TEXT]
-        if not asked:
+        if now.state is None or not asked:
             return None
         held, wished = full(now.state), now.state["wished"] > 0
         here = self._records.lasting & (wished | ~self._records.opening)
@@ -412,7 +422,8 @@ class WaysOut:
             if found := self._whole(whole, name, text, place):
                 informs[whole], sure = found, max(sure, DOUBTFUL)
                 informs.pop(slot, None)
-                unclear = [one for one in unclear if not is_in(one.text, found)]
+        said = informs.values()  # "Old Town" is in the theater's name
+        unclear = [u for u in unclear if u.is_denied or not any(is_in(u.text, v) for v in said)]
         frame = replace(reading.frame, informs=informs)
         return replace(reading, frame=frame, confidence=sure, unclear=tuple(unclear))
 
@@ -440,8 +451,11 @@ class WaysOut:
             known[number] = NONE
             found = {names[value] for value in self._records.choices(known, number)}
             fit = [one for one in found if any(is_in(part, one) for part in parts)]
-            if fit:
-                return fit[0] if len(fit) == 1 else ""
+            # Of several the one with most of the words: "the AMC, Northgate I think".
+            shared = [len({*said} & {*one.split()}) for one in fit]
+            best = [one for one, count in zip(fit, shared, strict=True) if count == max(shared)]
+            if best:
+                return best[0] if len(best) == 1 else ""
         return ""
 
     def shown(self, memory: Memory) -> dict[str, str]:

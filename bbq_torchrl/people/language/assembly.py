@@ -79,6 +79,7 @@ def assemble(
                 is_tagged and lexicon.kinds[span.slot] != "text"
             )
             is_named = is_bare or is_sure or "or" in around  # "Seattle or Portland"
+            is_named |= span.slot == asked and span.end - span.start > 1  # "it's only me, dear"
             if is_named and not _is_no_count(words, span, lexicon):
                 spans.append(span)
         spans.sort(key=lambda span: span.start)
@@ -111,6 +112,8 @@ def _whole_names(words: Sequence[str], spans: Sequence[Span], lexicon: Lexicon) 
     counts = [at for at in whole if lexicon.kinds[at.slot] == "count"]
     if len(counts) > 1:  # "a family of four, with 2 kids"
         whole -= {at for at in counts if words[at.start] == "with"}
+    if of_us := [at for at in sure if words[at.end - 2 : at.end] == ["of", "us"]]:
+        whole = whole - {*counts} | {*of_us}  # "3 of us, me and the 2 little ones"
     return sorted(whole, key=lambda span: span.start)
 
 
@@ -167,6 +170,9 @@ def chosen(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | Non
         at = _ORDER.get(word)
         if word == "one" and not {"number", "option"} & set(words) and len(words) > 1:
             continue  # "not that one"
+        names = lexicon.full_names(words) if word.isdigit() else ()
+        if names and (lexicon.kinds.get(slot) != "text" or len(words) > 1):
+            continue  # "2 pm", "Inside Out 2"
         if at is not None and at < len(choices) and (len(word) > 3 or len(words) <= 3):
             return choices[at]
     return None
