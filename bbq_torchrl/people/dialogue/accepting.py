@@ -93,7 +93,8 @@ class Accepting:
         is_yes = says_yes and is_known and not (requests or said.unclear)
         is_yes &= not (moves.says(text, "hesitates", "but") or self._asks_more(text, known))
         # "Ok, forget the evening. Any time tomorrow" takes a wish back, and nothing else.
-        is_yes &= not moves.taken_words(text) and ANY not in reading.frame.informs.values()
+        takes_back = moves.taken_words(text) or ANY in reading.frame.informs.values()
+        is_yes &= moves.ends_in_yes(text) or not takes_back
         taken = replace(said, frame=frame, confidence=max(said.confidence, DOUBTFUL))
         return taken, is_yes
 

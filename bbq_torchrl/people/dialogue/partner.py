@@ -539,9 +539,9 @@ class Partner:
         is_asked = acted.answered.act == "request" and self._fixed & {*acted.answered.requests}
         if state is not None and is_asked and not (is_denied or now.proposal):
             now_told, slot = replace(now, state=state), acted.answered.requests[0]
-            found = self._ways_out.unasked(now_told, reading, words, slot, asked)
-            if found is not None:
-                return replace(found, understood=understood)
+            unasked = self._ways_out.unasked(now_told, reading, words, slot, asked)
+            if unasked is not None:
+                return replace(unasked, understood=understood)
         sentences = [self._nlg.agent(act, kept, **words) for act, kept in acted.parts]
         if state is not None:
             told = {s: v for act, _ in acted.parts for s, v in act.informs.items() if s in asked}

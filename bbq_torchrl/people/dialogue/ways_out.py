@@ -166,8 +166,8 @@ class WaysOut:
             change = change or records.nearest(held, refused, asked=[number])
             return self.propose(now, reading, change, words)
         own = self.nearest(now).get(slot)
-        if own and is_met and not (is_other or end or "only" in text):  # "which theaters have it?"
-            told = Frame("inform", {slot: own})
+        if is_met and not (is_other or end or "only" in text):  # "which theaters have it?"
+            told = Frame("inform", {slot: own or NO_MATCH_TEXT})
             stands = self._nlg.say("stands", **words) if now.proposal or now.is_offered else ""
             sentence = f"{self._nlg.agent(told, **words)} {stands}".strip()
             return Answer(sentence, reading, reading.frame, told, replace(now, asking=Asking()))
@@ -379,7 +379,8 @@ class WaysOut:
         held, wished = full(now.state), now.state["wished"] > 0
         here = self._records.lasting & (wished | ~self._records.opening)
         change = self._records.nearest(held, self.refused(now), has=asked, stays=here)
-        found = self.propose(now, reading, change, words, asked)
+        lead = self._nlg.say("has_it", **words)
+        found = self.propose(now, reading, change, words, asked, lead=lead)
         return found if found.memory.proposal not in ({}, now.proposal) else None
 
     def narrowed(
@@ -422,8 +423,8 @@ class WaysOut:
             if found := self._whole(whole, name, text, place):
                 informs[whole], sure = found, max(sure, DOUBTFUL)
                 informs.pop(slot, None)
-        said = informs.values()  # "Old Town" is in the theater's name
-        unclear = [u for u in unclear if u.is_denied or not any(is_in(u.text, v) for v in said)]
+        told = informs.values()  # "Old Town" is in the theater's name
+        unclear = [u for u in unclear if u.is_denied or not any(is_in(u.text, v) for v in told)]
         frame = replace(reading.frame, informs=informs)
         return replace(reading, frame=frame, confidence=sure, unclear=tuple(unclear))
 
@@ -610,7 +611,8 @@ class WaysOut:
         ids = torch.where(self._place & (row != held), row, 0)
         ids[[*change, *asked]] = row[[*change, *asked]]
         proposal = self._tracking.values(ids)
-        conflict = {self._slots[n]: records.vocabulary[n][held[n]] for n in records.conflict(held)}
+        missed = [n for n in records.conflict(held) if not records.minor[n]]
+        conflict = {self._slots[n]: records.vocabulary[n][held[n]] for n in missed}
         asks = bool(values_of(reading.frame) or reading.frame.requests)
         times = 1 if asks and proposal != now.proposal else now.times + 1
         if not change or times > _MAX_PROPOSALS:

@@ -38,6 +38,7 @@ _DENIED_BEFORE, _DENIED_AFTER = (
 _NO = re.compile(ENGLISH["denied_by_no"])
 _PAIR, _MARKS = 2, frozenset(",.;!?")  # "no, 1" is no name
 _NOT = ("no", "not", "nothing", "isn't", "isnt")
+_ALL = re.compile(ENGLISH["all_counted"])
 _NO_COUNT = re.compile(ENGLISH["no_count"])
 
 
@@ -83,6 +84,7 @@ def assemble(
             if is_named and not _is_no_count(words, span, lexicon):
                 spans.append(span)
         spans.sort(key=lambda span: span.start)
+    spans = _all_of_us(words, spans, lexicon)
     if lexicon.kinds.get(asked or "") == "time" and asked not in [span.slot for span in spans]:
         spans = [_as_time(words, span, asked or "", lexicon) for span in spans]
     informs, unclear = values_of(words, spans, lexicon)
@@ -112,9 +114,16 @@ def _whole_names(words: Sequence[str], spans: Sequence[Span], lexicon: Lexicon) 
     counts = [at for at in whole if lexicon.kinds[at.slot] == "count"]
     if len(counts) > 1:  # "a family of four, with 2 kids"
         whole -= {at for at in counts if words[at.start] == "with"}
-    if of_us := [at for at in sure if words[at.end - 2 : at.end] == ["of", "us"]]:
-        whole = whole - {*counts} | {*of_us}  # "3 of us, me and the 2 little ones"
     return sorted(whole, key=lambda span: span.start)
+
+
+def _all_of_us(words: Sequence[str], spans: list[Span], lexicon: Lexicon) -> list[Span]:
+    """Returns spans with the one count that is of all, if any: "3 of us, me and the 2 boys"."""
+    counts = {
+        at for at in (*spans, *lexicon.full_names(words)) if lexicon.kinds[at.slot] == "count"
+    }
+    whole = [at for at in counts if _ALL.search(" ".join(words[at.start : at.end + 2]))]
+    return [at for at in spans if at not in counts] + whole[:1] if whole else spans
 
 
 def _is_sure(words: Sequence[str], span: Span) -> bool:
