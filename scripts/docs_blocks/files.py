@@ -121,4 +121,7 @@ def _strangers() -> str:
         for name, (key, of) in quantities.items():
             total = len(own) if of is None else sum(int(row[of]) for row in own)
             cells[name, f"at {commit}"] = f"{sum(int(row[key]) for row in own)}/{total}"
+        for name, has in (("whose card has no detail", False), ("whose card has one", True)):
+            fit = [int(row["judge"]) for row in own if (row["details"] > "0") == has]
+            cells[f"success of people {name}", f"at {commit}"] = f"{sum(fit)}/{len(fit)}"
     return pivot("", cells)

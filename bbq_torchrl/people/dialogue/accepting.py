@@ -89,7 +89,7 @@ class Accepting:
         frame = Frame("request" if requests else "inform", {**proposal, **told}, requests)
         known = {**record, **proposal}
         is_known = all(known.get(s) == value for s, value in told.items() if s not in self._free)
-        says_yes = beside is not None or self._agrees(reading, text)
+        says_yes = beside is not None or self._agrees(reading, text) or moves.says(text, "taking")
         is_yes = says_yes and is_known and not (requests or said.unclear)
         is_yes &= not (moves.says(text, "hesitates", "but") or self._asks_more(text, known))
         # "Ok, forget the evening. Any time tomorrow" takes a wish back, and nothing else.
@@ -139,7 +139,8 @@ class Accepting:
             beside = replace(said, confidence=1.0)
         is_heard = is_end or self._agrees(reading, text)
         # "a bit late, but fine, we'll take it", "great, two tickets please"
-        if beside is None and (is_heard or (is_plain and moves.begins_in_yes(text))):
+        says_yes = moves.begins_in_yes(text) or moves.says(text, "taking")
+        if beside is None and (is_heard or (is_plain and says_yes)):
             beside = reading
         doubts = ["hesitates"] if is_end else ["hesitates", "but"]
         if beside is not None and not asks and not moves.says(rest or text, *doubts):

@@ -193,8 +193,11 @@ class Spelling:
         """Returns values with the hour of a record's time for a bare number: "ok, 5 works"."""
         kinds, found = self.lexicon.kinds, dict(values)
         times = {slot: minutes_of(v) for slot, v in record.items() if kinds.get(slot) == "time"}
-        counts = {s for s in values.keys() - record.keys() if kinds.get(s) == "count"}
-        bare = {*filter(str.isdecimal, tokenize(text))}
+        words = {*tokenize(text)}
+        counts = {s for s in values if kinds.get(s) == "count" and record.get(s) != values[s]}
+        if not words.isdisjoint(("no", "not")):  # "no, for 8"
+            counts -= record.keys()
+        bare = {*filter(str.isdecimal, words)}
         for slot in counts - {*self.named(text, counts)}:
             for time, minutes in times.items():
                 if values[slot] in bare and minutes % 720 == 60 * int(values[slot]):
