@@ -29,7 +29,7 @@ README = ("BBQN-MAP", "DQN-Bootstrap", "DQN-Boltzmann", "DQN", "GP")
 """Agents of the small table: those of README's figure, and the fastest learner."""
 
 
-LEFT_OUT = ("BBQN-MAP, searched", "DQN-VIME-MC, searched")
+LEFT_OUT = ("BBQN-MAP, searched", "BBQN-MC, searched", "DQN-VIME-MC, searched")
 """Searched agents that are not in the small table: Soft BBQN-MAP's settings, and far below DQN."""
 
 SCRIPTS = {"repair": "script `repair`", PRIVILEGED_POLICY: "privileged ceiling"}

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from statistics import fmean
 from typing import Any
 
 import yaml
@@ -77,22 +76,6 @@ def _limits() -> str:
         cells[row["what"], "measured"] = f"{found[row['set']][row['key']]:.3g}"
         cells[row["what"], "aim"] = row["aim"] or "–"
     return pivot("", cells)
-
-
-@block("language.new_hands")
-def _new_hands() -> str:
-    """Returns the nlu's accuracy on writers left out of its training."""
-    names = {"frame": "frame", "slot_f1": "slot F1", "act": "act", "answered": "answered"}
-    names |= {"right_of_answered": "right of these", "calibration_error": "calibration error"}
-    names |= {"calibration_floor": "by chance"}
-    found = read_json("new_hands.json")
-    cells = {
-        (str(of["hand"]), name): f"{of[key]:.3f}" for of in found for key, name in names.items()
-    }
-    cells |= {
-        ("mean", name): f"{fmean(of[key] for of in found):.3f}" for key, name in names.items()
-    }
-    return pivot("hand", cells)
 
 
 @block("language.ladder")
