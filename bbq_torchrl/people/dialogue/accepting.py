@@ -144,6 +144,7 @@ class Accepting:
             beside = reading
         doubts = ["hesitates"] if is_end else ["hesitates", "but"]
         if beside is not None and not asks and not moves.says(rest or text, *doubts):
+            beside = self._hear.of_record(beside, offer, text)  # "today" is tonight's day
             told = self._spelling.besides(values_of(beside.frame), offer)
             if self._asks_more(text, offer):
                 return replace(reading, frame=Frame("not_sure")), False
