@@ -537,7 +537,8 @@ class Partner:
             found = self._ways_out.alternative(now, reading, words, asked, is_refused=False)
             return replace(found, understood=understood)
         is_asked = acted.answered.act == "request" and self._fixed & {*acted.answered.requests}
-        if state is not None and is_asked and not (is_denied or now.proposal):
+        lacks = any(NO_MATCH_TEXT in act.informs.values() for act, _ in acted.parts)
+        if state is not None and is_asked and not (is_denied or now.proposal or lacks):
             now_told, slot = replace(now, state=state), acted.answered.requests[0]
             unasked = self._ways_out.unasked(now_told, reading, words, slot, asked)
             if unasked is not None:

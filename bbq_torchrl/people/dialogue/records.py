@@ -104,12 +104,13 @@ class Records:
         }
         dates = {slot: domain.vocabulary[slot] for slot, kind in enumerate(kinds) if kind == "date"}
         self._is_vague = torch.zeros(len(self.has), dtype=torch.bool)
+        self._is_odd = self._is_vague.clone()
         for slot, minutes in self._minutes.items():
             self._is_vague |= minutes[self._values[:, slot]].isnan() & self.has[:, slot]
             for date, texts in dates.items():  # "tonight at 10:05 am"
                 pairs = zip(*self._values[:, [date, slot]].T.tolist(), strict=True)
                 fits = [day_at(texts[d], self.vocabulary[slot][t]) == texts[d] for d, t in pairs]
-                self._is_vague |= ~torch.tensor(fits)
+                self._is_odd |= ~torch.tensor(fits)
         self._days = {slot: _numbered([*map(day_of, texts)]) for slot, texts in dates.items()}
         self._is_on = {  # of its first date and its second
             slot: torch.tensor([[is_on(day, of) for of in texts] for day in texts])
@@ -226,6 +227,7 @@ class Records:
         cost += _PLACE * self._is_elsewhere(lacks)
         cost += _EACH * self._is_vague  # "after work" only if nothing else is as near
         cost += _EACH / 4 * (self._contradicts.any(0) & ~self.has).sum(-1)  # nor a time not on file
+        cost += _EACH / 8 * self._is_odd
         cost += _EACH / 2 * (lacks & self.minor).sum(-1)
         cost += _PLACE * ((far & self._is_place).any(-1) + 1.2 * nowhere.any(-1))
         cost += _PLACE / 2 * (~self.has[:, list(asked)]).sum(-1)
@@ -335,9 +337,13 @@ class Records:
         changed = held.clone()
         changed[[*change]] = torch.tensor([*change.values()], dtype=torch.long)
         distances = 2 * self._distances(*self._misses(changed)) + self._is_vague
+        for number in self._is_on:  # "tomorrow" before "tomorrow night"
+            distances += (changed[number] >= FIRST_VALUE) & (
+                self._values[:, number] != changed[number]
+            )
         distances += self.with_any(refused) * (distances.max() + 1)
-        absent = (self._constrains & ~self.minor & ~self.has).sum(-1)  # the date not on file
-        distances = distances * (len(held) + 1) + absent
+        absent = (self._constrains & self._contradicts & ~self.has).sum(-1)  # the date not on file
+        distances = 2 * distances * (len(held) + 1) + 2 * absent + self._is_odd
         return self._values[int(distances.argmin())].clone()
 
     def is_listed(self, slot: int) -> bool:

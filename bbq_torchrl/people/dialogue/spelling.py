@@ -173,7 +173,7 @@ class Spelling:
             is_in = first <= of_evening(minutes_of(own)) <= last
             return is_in or about_minutes(said) == about_minutes(own)
         is_next = fold(said) == day_of(own).removeprefix("next ")
-        is_day = kind == "date" and (is_next or is_on(own, said) or is_on(said, own))
+        is_day = kind == "date" and (is_next or is_on(own, said))
         is_other = sure_kind(said) not in (None, kind)  # "3 pm" is not three people
         return is_day or (key(slot, own) == key(slot, said) and not is_other)
 

@@ -351,12 +351,12 @@ class WaysOut:
         count = int((~(differs | lacks).any(-1)).sum())
         is_rare = bool(details.any()) and 0 < count <= _FEW
         row = self._records.row(held, {})
+        is_known = slot == self._thing or held[self._slots.index(self._thing)] >= FIRST_VALUE
         is_open = self._place & (held < FIRST_VALUE) & (row != NONE)
-        if not now.refused and is_open.any() and (is_rare or len(choices) == 1):
+        if not now.refused and is_open.any() and (is_rare or (is_known and len(choices) == 1)):
             told = (is_open | details).nonzero().flatten().tolist()
             asked = [self._slots.index(one) for one in requests]
             return self.propose(now, reading, {n: int(row[n]) for n in told}, words, asked)
-        is_known = slot == self._thing or held[self._slots.index(self._thing)] >= FIRST_VALUE
         if is_known and not requests and 1 < len(choices) < MAX_CHOICES:
             return self._several(now, reading, slot, choices, words)
         return None
