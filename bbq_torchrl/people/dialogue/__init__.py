@@ -16,8 +16,8 @@ if TYPE_CHECKING:
 
 
 RULES = {
-    "yes_ends": "Only a yes to an offer, or to a proposal told in full, ends the dialogue.",
-    "asks_first": "What only the person can say is asked for, once, before an offer.",
+    "yes_ends": "Only a yes to an offer or a proposal ends the dialogue.",
+    "asks_first": "What only the person can say is asked for before an offer, twice at most.",
     "answers_first": "A question is answered before anything else.",
     "no_asking_back": "The agent does not ask for what is known, asked for, or matters to few.",
     "implied": "The agent does not ask for what another value determines, as a city its state.",
