@@ -29,7 +29,9 @@ README = ("BBQN-MAP", "DQN-Bootstrap", "DQN-Boltzmann", "DQN", "GP")
 """Agents of the small table: those of README's figure, and the fastest learner."""
 
 
-LEFT_OUT = ("BBQN-MAP, searched", "BBQN-MC, searched", "DQN-VIME-MC, searched")
+LEFT_OUT = tuple(
+    f"{name}, searched" for name in ("BBQN-MAP", "BBQN-MC", "DQN-VIME-MAP", "DQN-VIME-MC")
+)
 """Searched agents that are not in the small table: Soft BBQN-MAP's settings, and far below DQN."""
 
 SCRIPTS = {"repair": "script `repair`", PRIVILEGED_POLICY: "privileged ceiling"}
