@@ -139,8 +139,8 @@ class Accepting:
             beside = replace(said, confidence=1.0)
         is_heard = is_end or self._agrees(reading, text)
         # "a bit late, but fine, we'll take it", "great, two tickets please"
-        says_yes = moves.begins_in_yes(text) or moves.says(text, "taking")
-        if beside is None and (is_heard or (is_plain and says_yes)):
+        begins = moves.begins_in_yes(text) or moves.says(text, "taking")
+        if beside is None and (is_heard or (is_plain and begins)):
             beside = reading
         doubts = ["hesitates"] if is_end else ["hesitates", "but"]
         if beside is not None and not asks and not moves.says(rest or text, *doubts):

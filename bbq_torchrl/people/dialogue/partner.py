@@ -341,8 +341,7 @@ class Partner:
             takes = not others or (says_yes and not moves.says(text, "question"))
             if takes and (found := self._accepting.proposed(before, turn.record, reading, text)):
                 taken, is_yes = found
-                told = {s: v for s, v in values_of(taken.frame).items() if s in self._free}
-                is_booked = is_yes and self._ways_out.is_complete(before, told)
+                is_booked = is_yes and self._ways_out.is_complete(before, values_of(taken.frame))
                 is_booked &= not moves.others(text)
                 return replace(now, proposal={}), taken, False, is_booked and not turn.asks
             if is_no_more and not others:

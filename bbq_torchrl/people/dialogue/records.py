@@ -108,9 +108,11 @@ class Records:
         for slot, minutes in self._minutes.items():
             self._is_vague |= minutes[self._values[:, slot]].isnan() & self.has[:, slot]
             for date, texts in dates.items():  # "tonight at 10:05 am"
-                pairs = zip(*self._values[:, [date, slot]].T.tolist(), strict=True)
-                fits = [day_at(texts[d], self.vocabulary[slot][t]) == texts[d] for d, t in pairs]
-                self._is_odd |= ~torch.tensor(fits)
+                pairs = self._values[:, [date, slot]].tolist()
+                times = domain.vocabulary[slot]
+                self._is_odd |= torch.tensor(
+                    [day_at(texts[d], times[t]) != texts[d] for d, t in pairs]
+                )
         self._days = {slot: _numbered([*map(day_of, texts)]) for slot, texts in dates.items()}
         self._is_on = {  # of its first date and its second
             slot: torch.tensor([[is_on(day, of) for of in texts] for day in texts])

@@ -247,7 +247,7 @@ class Acting:
         """
         if state is None:
             heard = self._tracking.start(understood)
-            own = {"offered": torch.tensor(False), "was_asked": heard["agent_requests"].int()}
+            own = {"offered": torch.tensor(False), "times_asked": heard["agent_requests"].int()}
             return self._control.remember(heard.replace(**own))
         heard = self._tracking.hear(state, understood)
         told = heard["user_informs"]
@@ -317,7 +317,7 @@ class Acting:
                 action = agent.decide(observation, seed, allowed)
             if self._booking[action]:
                 state = self._placed(state, refused)
-                is_known = (full(state) != NONE) | (state["was_asked"] > 1) | state["offered"]
+                is_known = (full(state) != NONE) | (state["times_asked"] > 1) | state["offered"]
                 unsaid = (ask for slot, ask in self._of_person.items() if not is_known[slot])
                 action = next(unsaid, action)
             state = self._act(state, action, parts)
@@ -358,7 +358,7 @@ class Acting:
         answered = self._tracking.answered(after)
         assert answered is not None
         parts.append((answered, self._tracking.values(state["held"])))
-        after["was_asked"] = state["was_asked"] + after["agent_requests"]
+        after["times_asked"] = state["times_asked"] + after["agent_requests"]
         if self._booking[action]:
             is_available = after["agent_informs"][self._agent.domain.slots.index(self._complete)]
             return after.replace(offered=is_available == AVAILABLE)

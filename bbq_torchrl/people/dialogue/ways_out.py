@@ -525,8 +525,9 @@ class WaysOut:
             told: what the reply to it tells.
         """
         known = self._tracking.kept(memory.state)
-        is_same = all(known.get(slot, value) == value for slot, value in told.items())
-        return is_same and self._own <= {*values_of(known), *told}
+        own = {slot: value for slot, value in told.items() if slot in self._own}
+        is_same = all(known.get(slot, value) == value for slot, value in own.items())
+        return is_same and self._own <= {*values_of(known), *own}
 
     def lasting(self, values: Mapping[str, str]) -> dict[str, str]:
         """Returns what some values are about and where, as the city of a zip code."""

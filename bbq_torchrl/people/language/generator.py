@@ -9,7 +9,6 @@ import re
 from collections.abc import Mapping, Sequence
 from functools import reduce
 from itertools import combinations
-from types import MappingProxyType
 from typing import Any
 
 from bbq_torchrl.domains import Domain, fold
@@ -25,7 +24,6 @@ _MAX_IN_CONFLICT = 4
 MAX_CHOICES = 5
 """The number of choices that a sentence names."""
 
-_ALONE: Mapping[str, str] = MappingProxyType({})
 _NO_WISH = (ANY, NO_MATCH_TEXT, AVAILABLE_TEXT)
 
 # Values that include their preposition: "it starts after 10pm", "it is tomorrow".
@@ -273,16 +271,16 @@ class Generator:
             if said:
                 said.append(Piece(", "))
             phrases = self._phrases.slots[slot].phrases["wish"]
-            said += self._fill(
-                phrases, rng, slot, {slot: [Piece(self._written(slot, value, wishes))]}
-            )
+            written = self._written(slot, value, wishes)
+            said += self._fill(phrases, rng, slot, {slot: [Piece(written)]})
         return said or [Piece("as you wish")]
 
-    def _written(self, slot: str, value: str, beside: Mapping[str, str] = _ALONE) -> str:
+    def _written(self, slot: str, value: str, beside: Mapping[str, str] | None = None) -> str:
         """Returns a value as agents write it beside others: no "tonight, 10:05 am"."""
         capitals = self._phrases.slots[slot].capitals
         if self._kinds.get(slot) == "date":
-            times = (text for other, text in beside.items() if self._kinds.get(other) == "time")
+            others = (beside or {}).items()
+            times = (text for other, text in others if self._kinds.get(other) == "time")
             value = reduce(day_at, times, value)
         return value if capitals is None else capitalized(value, capitals)
 
