@@ -11,7 +11,8 @@ from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.exchange import values_of
 from bbq_torchrl.people.dialogue.hearing import DOUBTFUL
 from bbq_torchrl.people.language import Frame, Understood
-from bbq_torchrl.people.language.words import is_farewell, is_no
+from bbq_torchrl.people.language.asking import YES
+from bbq_torchrl.people.language.words import is_no
 
 if TYPE_CHECKING:
     from collections.abc import Mapping
@@ -23,8 +24,8 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.dialogue.tracking import Acting, Tracking
 
 
-_SURE = 0.75
-"""The confidence from which a text with words that agree is a yes."""
+SURE = 0.9
+"""The probability from which a text without words that doubt is a yes."""
 
 
 class Accepting:
@@ -53,7 +54,12 @@ class Accepting:
         self._fixed = {*domain.essential} - self._free
 
     def proposed(
-        self, before: Memory, record: Mapping[str, str], reading: Understood, text: str
+        self,
+        before: Memory,
+        record: Mapping[str, str],
+        reading: Understood,
+        text: str,
+        asks: bool,
     ) -> tuple[Understood, bool] | None:
         """Returns the meaning of a text that takes a proposal, by a yes or by what fits it.
 
@@ -65,10 +71,13 @@ class Accepting:
             record: the values of the proposed record by slot.
             reading: the meaning of the text.
             text: the person's text.
+            asks: whether the whole text asks something.
         """
-        proposal = before.proposal
+        proposal, takes = before.proposal, self._takes(reading, text, asks)
         beside = self._beside_yes(before, text, proposal)
         said = self._hear.of_record(beside or reading, record, text)
+        if takes:
+            said = _without_unknown(said)
         # "tonight" is a date, or a time.
         own = {fold(value): slot for slot, value in proposal.items()}
         told = {own.get(fold(value), slot): value for slot, value in values_of(said.frame).items()}
@@ -83,15 +92,16 @@ class Accepting:
             return None
         if beside is None:
             is_named = bool(told) and not said.unclear
-            is_named |= self._hear.is_bare(reading.frame, "confirm_answer", "thanks")
-            if not is_named or moves.says(text, "no", "doubts"):
+            is_bare = self._hear.is_bare(reading.frame, *YES)
+            is_named |= is_bare and not moves.says(text, "hesitates")
+            if not (takes or (is_named and not moves.says(text, "no", "doubts"))):
                 return None
         frame = Frame("request" if requests else "inform", {**proposal, **told}, requests)
         known = {**record, **proposal}
         is_known = all(known.get(s) == value for s, value in told.items() if s not in self._free)
-        says_yes = beside is not None or self._agrees(reading, text) or moves.says(text, "taking")
-        is_yes = says_yes and is_known and not (requests or said.unclear)
-        is_yes &= not (moves.says(text, "hesitates", "but") or self._asks_more(text, known))
+        is_yes = beside is not None and not (asks or moves.says(text, "hesitates", "but"))
+        is_yes = (takes or is_yes) and is_known and not (requests or said.unclear)
+        is_yes &= not self._asks_more(reading, text, known)
         # "Ok, forget the evening. Any time tomorrow" takes a wish back, and nothing else.
         takes_back = moves.taken_words(text) or ANY in reading.frame.informs.values()
         is_yes &= moves.ends_in_yes(text) or not takes_back
@@ -119,43 +129,30 @@ class Accepting:
             asks: whether the whole text asks something.
         """
         frame = reading.frame
-        is_end = moves.ends_in_yes(text)
-        takes = is_end or moves.books(text) or moves.says(text, "agreeing")
-        if takes and not asks:  # "We bring cushions. Book it"
-            known = tuple(one for one in reading.unclear if one.candidates or one.is_denied)
-            reading = replace(reading, unclear=known)
         assert before.state is not None
         offer = {**record, **self._tracking.kept(before.state)}
-        beside = self._beside_yes(before, text, offer)
+        takes = self._takes(reading, text, asks)
+        if takes:  # "We bring cushions. Book it"
+            reading = _without_unknown(reading)
         rest = moves.beside_yes(text)
         free = {s: v for s, v in values_of(frame).items() if s in self._free and s not in offer}
-        if free and rest == "":  # "just one for me, thanks"
-            beside = replace(reading, confidence=1.0)
-        elif rest == "":
+        if rest == "" and not free:
             return Understood(Frame("thanks"), 1.0, source=reading.source), False
+        beside = None if rest == "" else self._beside_yes(before, text, offer)
         is_plain = frame.act != "deny" and ANY not in frame.informs.values()
-        if is_plain and moves.books(text) and not reading.unclear:
-            said = self._hear(text, None) if self._hear.is_bare(frame) else reading
-            beside = replace(said, confidence=1.0)
-        is_heard = is_end or self._agrees(reading, text)
-        # "a bit late, but fine, we'll take it", "great, two tickets please"
-        begins = moves.begins_in_yes(text) or moves.says(text, "taking")
-        if beside is None and (is_heard or (is_plain and begins)):
-            beside = reading
-        doubts = ["hesitates"] if is_end else ["hesitates", "but"]
-        if beside is not None and not asks and not moves.says(rest or text, *doubts):
+        is_plain |= moves.ends_in_yes(text)
+        if beside is None and (rest == "" or (takes and is_plain)):  # "just one for me, thanks"
+            beside = replace(reading, confidence=1.0)
+        is_sure = takes or not (asks or moves.says(rest or text, "hesitates", "but"))
+        if beside is not None and is_sure:
             beside = self._hear.of_record(beside, offer, text)  # "today" is tonight's day
             told = self._spelling.besides(values_of(beside.frame), offer)
-            if self._asks_more(text, offer):
+            if self._asks_more(reading, text, offer):
                 return replace(reading, frame=Frame("not_sure")), False
-            if is_heard and self._hear.is_bare(frame) and not reading.unclear:
-                return Understood(Frame("thanks"), 1.0, source=reading.source), False
-            is_repeated = told.items() <= offer.items()
+            is_repeated = told.items() <= offer.items() and not beside.unclear
             # "sonds good, yes"
-            says_yes = beside.frame.act in ("confirm_answer", "thanks")
-            says_yes |= is_end and self._hear.is_bare(beside.frame)
-            is_plain_yes = says_yes or beside.confidence == 1.0
-            if is_repeated and (told or is_plain_yes):
+            says_yes = takes or beside.frame.act in YES or beside.confidence == 1.0
+            if is_repeated and (told or says_yes):
                 return Understood(Frame("thanks"), 1.0, source=reading.source), False
             fits = all(offer.get(slot, value) == value for slot, value in told.items())
             fits &= not self._spelling.is_other(told, offer)
@@ -179,14 +176,17 @@ class Accepting:
             return replace(reading, frame=frame), False
         return replace(reading, frame=Frame("not_sure")), False
 
-    def _agrees(self, reading: Understood, text: str) -> bool:
-        """Returns whether a text is surely heard, and has words that agree and none that deny."""
-        is_denied = moves.says(text, "no") or is_farewell(text) or reading.frame.act == "deny"
-        is_sure = reading.confidence >= _SURE and not (is_denied or reading.unclear)
-        return is_sure and moves.says(text, "agreeing")
+    def _takes(self, reading: Understood, text: str, asks: bool) -> bool:
+        """Returns whether a text takes what is offered, whatever else it says."""
+        is_end, is_sure = moves.ends_in_yes(text), reading.takes >= SURE
+        doubts = ["hesitates"] if is_end else ["no", "hesitates", "but"]
+        says_yes = (is_end or is_sure) and not moves.says(text, *doubts)
+        return not asks and (says_yes or (is_end and is_sure))
 
-    def _asks_more(self, text: str, offer: Mapping[str, str]) -> bool:
+    def _asks_more(self, reading: Understood, text: str, offer: Mapping[str, str]) -> bool:
         """Returns whether a text has a condition that is not of an offer's values."""
+        if reading.takes >= SURE and moves.ends_in_yes(text):  # "If I hurry I make it. Yes"
+            return False
         words, lexicon = moves.given(text), self._spelling.lexicon
         known = [(slot, value) for slot, value in offer.items() if slot in lexicon.slots]
         for slot, value in known if words else ():
@@ -218,3 +218,9 @@ class Accepting:
             return Understood(Frame("inform"), 1.0)
         said = None if before.state is None else self._tracking.answered(before.state)
         return self._hear(rest, said)
+
+
+def _without_unknown(reading: Understood) -> Understood:
+    """Returns a reading without the names that the domain lacks."""
+    known = tuple(one for one in reading.unclear if one.candidates or one.is_denied)
+    return replace(reading, unclear=known)

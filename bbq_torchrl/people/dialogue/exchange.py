@@ -29,6 +29,7 @@ class Memory:
         refused: what the person refused: values of one record each, or a single one by name.
         lacking: the slots that it was asked for and had no value of.
         shown: the records that the agent has proposed or offered, by slot, the latest last.
+        taken: whether the person has just taken a proposal, of which something is to be asked.
         denied: the number of offers that the person has refused.
         texts: the number of texts so far.
     """
@@ -40,6 +41,7 @@ class Memory:
     refused: tuple[Mapping[str, str], ...] = ()
     lacking: tuple[str, ...] = ()
     shown: tuple[Mapping[str, str], ...] = ()
+    taken: bool = False
     denied: int = 0
     texts: int = 0
 

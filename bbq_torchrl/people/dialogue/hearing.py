@@ -332,7 +332,7 @@ class Hearing:
         is_better = alone.confidence > reading.confidence
         is_silent = self.is_bare(reading.frame) and not (reading.unclear or moves.accepts(text))
         if is_silent and is_better and not self.is_bare(alone.frame) and not named:
-            return alone
+            return replace(alone, takes=reading.takes)
         if not named or not (is_better or (asked and is_echo)):
             requests = (*reading.frame.requests, *named) if moves.says(text, "wh") else ()
             if {*requests} <= {*reading.frame.requests}:

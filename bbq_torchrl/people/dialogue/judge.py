@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import random
-from collections import defaultdict
+from collections import Counter, defaultdict
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, RESERVED_TEXT, fold
@@ -167,8 +167,16 @@ class Judge:
         return found
 
     def _has_wishes(self, offer: Mapping[str, str], wishes: Mapping[str, str]) -> bool:
-        """Returns whether an offer says each wish, or all records that it may book have it."""
-        booked = frozenset() if self._as_simulated else self._matching(offer)
+        """Returns whether an offer says each wish, or all records that it may book have it.
+
+        It may book those with the most of its values: what is not on file is in no record.
+        """
+        offered = {} if self._as_simulated else offer
+        counts = Counter(
+            row for slot, told in offered.items() for row in self._having(slot, [told])
+        )
+        most = max(counts.values(), default=0)
+        booked = {row for row, count in counts.items() if count == most}
         return all(
             value in (offer.get(slot), _DONT_CARE)
             or (booked and booked <= self._having(slot, [value]))

@@ -82,7 +82,7 @@ def accepts(text: str) -> bool:
         >>> [accepts(text) for text in ("ok, how do I get there?", "ok but let me check with her")]
         [False, False]
     """
-    words, is_yes = _FIND["remark"].sub(" ", f" {_words(text)} "), False
+    words, is_yes = f" {_words(text)} ", False
     for pattern in _ACCEPT:
         words, count = pattern.subn(" ", words)
         is_yes = is_yes or count > 0
@@ -143,27 +143,9 @@ def takes(text: str) -> bool:
     return accepts(text) or (ends_in_yes(text) and "?" not in text)
 
 
-def begins_in_yes(text: str) -> bool:
-    """Returns whether the first words of a text accept: "perfect, we're in. five seats"."""
-    return _is_yes("".join(_PIECE.findall(_words(text))[:1]))
-
-
 def _is_yes(words: str) -> bool:
     """Returns whether words accept, and are not only polite."""
     return accepts(words) and not says(words, "polite")
-
-
-def books(text: str) -> bool:
-    """Returns whether a text has a clause that books, and neither asks nor hesitates.
-
-    Examples:
-        >>> [books(text) for text in ("We can't. Book it for two", "don't book it", "book it?")]
-        [True, False, False]
-    """
-    clauses = (clause for clause in _PIECE.findall(_words(text)) if not says(clause, "no"))
-    return not says(text, "question", "hesitates", "but") and any(
-        map(_FIND["books"].search, clauses)
-    )
 
 
 def given(text: str) -> list[str]:

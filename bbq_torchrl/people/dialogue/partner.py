@@ -10,7 +10,7 @@ from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT
 from bbq_torchrl.domains.values import fold
 from bbq_torchrl.people.dialogue import moves
-from bbq_torchrl.people.dialogue.accepting import Accepting
+from bbq_torchrl.people.dialogue.accepting import SURE, Accepting
 from bbq_torchrl.people.dialogue.control import Control
 from bbq_torchrl.people.dialogue.exchange import Answer, Memory, values_of
 from bbq_torchrl.people.dialogue.hearing import DOUBTFUL, Hearing
@@ -182,7 +182,9 @@ class Partner:
         except TextError as error:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
         if not told.text:
-            turn = _Turn(before, record, question, text, words, moves.says(whole, "question"))
+            is_yes = reading.takes >= SURE and "?" not in whole  # "exactly what I hoped for"
+            asks = moves.says(whole, "question") and not is_yes
+            turn = _Turn(before, record, question, text, words, asks)
             return _led(_led(self._reply(turn, reading), lead), untold)
         told = replace(told, text=f"{told.text} {lead}".strip())
         is_only = (
@@ -247,7 +249,7 @@ class Partner:
     def _reply(self, turn: _Turn, reading: Understood) -> Answer:
         """Returns the answer to a text with a meaning."""
         before, text, rules = turn.before, turn.text, self.control.rules
-        now = replace(before, texts=before.texts + 1)
+        now = replace(before, texts=before.texts + 1, taken=False)
         reading = self._hear.leaving(reading, text, before.is_offered)
         is_moved = moves.direction(text) or moves.says(text, "question")
         is_wish = bool(values_of(reading.frame)) and not is_moved
@@ -266,7 +268,7 @@ class Partner:
             return step
         now, reading, others, is_booked = step
         dropped: tuple[str, ...] = ()
-        if "drop" in rules:
+        if "drop" in rules and reading.frame != Frame("thanks"):
             held |= before.asking.waiting.informs if before.asking.waiting else {}
             reading, dropped = self._hear.dropped(reading, text, turn.question, held)
         lead = self._nlg.say("dropped", dropped, **turn.words) if dropped else ""
@@ -339,15 +341,17 @@ class Partner:
         if before.proposal:
             says_yes = moves.beside_yes(text) is not None or moves.ends_in_yes(text)
             takes = not others or (says_yes and not moves.says(text, "question"))
-            if takes and (found := self._accepting.proposed(before, turn.record, reading, text)):
+            found = self._accepting.proposed(before, turn.record, reading, text, turn.asks)
+            if takes and found:
                 taken, is_yes = found
+                is_yes &= not moves.others(text)
                 is_booked = is_yes and self._ways_out.is_complete(before, values_of(taken.frame))
-                is_booked &= not moves.others(text)
-                return replace(now, proposal={}), taken, False, is_booked and not turn.asks
+                return replace(now, proposal={}, taken=is_yes), taken, False, is_booked
             if is_no_more and not others:
                 return self._ways_out.alternative(now, reading, words)
             is_remark = is_denied and not (is_no_more or others)  # "is it at night? 4 isn't late"
-            if "yes_ends" in rules and (self._hear.is_bare(reading.frame, "thanks") or is_remark):
+            is_remark |= self._hear.is_bare(reading.frame, "thanks", "not_sure")
+            if "yes_ends" in rules and is_remark and not (others or reading.unclear):
                 # A yes to what is proposed books nothing that was offered before.
                 return self._say(now, self._nlg.say("stands", **words), reading)
         elif before.is_offered and "yes_ends" in rules and not others:
@@ -358,6 +362,8 @@ class Partner:
                 answer = self._say(now, self._nlg.say("stands", **words), reading)
                 is_given = moves.says(text, "given")
                 return _led(answer, self._nlg.say("unknown_question", **words) if is_given else "")
+        elif before.taken and values_of(reading.frame).keys() <= self._free and not turn.asks:
+            is_booked = bool(values_of(reading.frame))  # "How many?" "Three"
         elif "book" in rules and moves.accepts(text) and self._hear.is_bare(reading.frame):
             reading = replace(reading, confidence=1.0)
         return now, reading, others, is_booked

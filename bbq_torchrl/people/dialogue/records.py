@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import combinations
+from collections import Counter, defaultdict
+from itertools import combinations, product
 from typing import TYPE_CHECKING
 
 import torch
@@ -28,6 +29,10 @@ if TYPE_CHECKING:
     from bbq_torchrl.domains import Domain, DomainTensors
 
 _EVIDENCE = 8  # values of a slot with several records, each with one value of the determined slot
+_USUAL = 0.8
+"""The share of the values of the opening slot of which all records say the same of a detail, such
+as a movie's genre, from which the records that do not say it have it, too: 29 of 33 movies in the
+shipped domain. The next slot is at .69."""
 _SAMPLE = 100  # values that tell a slot's kind
 _RARE = 1 / 8
 """A slot that goals constrain less often than this share of the most frequent one is minor."""
@@ -43,6 +48,8 @@ def completed(domain: Domain) -> tuple[Mapping[str, str], ...]:
     """Returns the records of a domain with what their other values determine, as a city its state.
 
     What a value determines may be how its name begins: "Cineplex Odeon Albany 20" is of that chain.
+    What a dialogue is about has what most records say of it, as a movie its genre, if that is
+    nearly always one.
 
     Args:
         domain: the domain, with one spelling for each value.
@@ -58,7 +65,26 @@ def completed(domain: Domain) -> tuple[Mapping[str, str], ...]:
             begun = next((value for value in begins if whole.startswith(f"{value} ")), None)
             if found := known.get(whole, begun):
                 record.setdefault(determined, found)
+    for thing, detail in product(domain.opening_slots, domain.slots):
+        usual = _usual(records, thing, detail) if detail != thing else {}
+        for record in records:
+            if found := usual.get(record.get(thing, "")):
+                record.setdefault(detail, found)
     return tuple(records)
+
+
+def _usual(records: Sequence[Mapping[str, str]], thing: str, detail: str) -> dict[str, str]:
+    """Returns what most records of a thing say of a detail, if nearly all agree, by its name."""
+    counts: dict[str, Counter[str]] = defaultdict(Counter)
+    for record in records:
+        if thing in record and detail in record:
+            counts[record[thing]][record[detail]] += 1
+    several = [of for of in counts.values() if of.total() > 1]
+    agreeing = sum(len(of) == 1 for of in several)
+    if len(several) < _EVIDENCE or agreeing < _USUAL * len(several):
+        return {}
+    most = {name: of.most_common(1)[0] for name, of in counts.items()}
+    return {n: value for n, (value, count) in most.items() if 2 * count > counts[n].total()}
 
 
 class Records:
@@ -95,6 +121,7 @@ class Records:
         # What a place determines and determines nothing, as a state.
         self._is_wide = self.determines[self._is_place].any(0) & ~self.determines.any(1)
         self._contradicts = (self.has | ~self._is_wide) & ~self.minor
+        self._spare = (domain.constrains & self.minor & ~self.has).sum(-1)  # details not on file
         self._costs = costs + _OPENING * domain.opening
         self.opening, self.lasting = domain.opening, self._is_place | domain.opening
         self._minutes = {
@@ -205,8 +232,9 @@ class Records:
         """Returns the values of the nearest record that differ from those held, by slot.
 
         Another part of the same day is nearest, then fewer differences, then those of slots that
-        cost less, then earlier or later by less. What the values held determine, as a theater its
-        city, is held too. A record lacks as few of the values held as possible.
+        cost less, then earlier or later by less, then more details on file. What the values held
+        determine, as a theater its city, is held too. A record lacks as few of the values held as
+        possible.
 
         Args:
             held: long ``[S]``, value ids.
@@ -229,7 +257,7 @@ class Records:
         cost += _PLACE * self._is_elsewhere(lacks)
         cost += _EACH * self._is_vague  # "after work" only if nothing else is as near
         cost += _EACH / 4 * (self._contradicts.any(0) & ~self.has).sum(-1)  # nor a time not on file
-        cost += _EACH / 8 * self._is_odd
+        cost += _EACH / 8 * self._is_odd + 1e-4 * self._spare
         cost += _EACH / 2 * (lacks & self.minor).sum(-1)
         cost += _PLACE * ((far & self._is_place).any(-1) + 1.2 * nowhere.any(-1))
         cost += _PLACE / 2 * (~self.has[:, list(asked)]).sum(-1)
@@ -346,6 +374,7 @@ class Records:
         distances += self.with_any(refused) * (distances.max() + 1)
         absent = (self._constrains & self._contradicts & ~self.has).sum(-1)  # the date not on file
         distances = 2 * distances * (len(held) + 1) + 2 * absent + self._is_odd
+        distances = distances * (len(held) + 1) + self._spare
         return self._values[int(distances.argmin())].clone()
 
     def is_listed(self, slot: int) -> bool:

@@ -16,6 +16,7 @@ from bbq_torchrl.people.language.quantities import (
     PART_WORDS,
     SPANS,
     about_minutes,
+    day_at,
     day_of,
     is_on,
     minutes_of,
@@ -180,11 +181,18 @@ class Spelling:
     def as_in(
         self, record: Mapping[str, str], text: str, values: Mapping[str, str]
     ) -> dict[str, str]:
-        """Returns the values of a text, with a record's times where it says neither am nor pm."""
-        found = dict(values)
+        """Returns the values of a text, with a record's times where it says neither am nor pm.
+
+        "Saturday night" is the Saturday of a show at that time.
+        """
+        kinds, found = self.lexicon.kinds, dict(values)
+        times = [time for slot, time in record.items() if kinds.get(slot) == "time"]
         for slot, value in values.items():
-            if slot in record and self._options(text, slot, value, record[slot]) == (record[slot],):
-                found[slot] = record[slot]
+            own = record.get(slot, "")
+            is_part = kinds.get(slot) == "date" and day_of(value) == day_of(own)
+            is_part &= any(day_at(value, time) == value for time in times)
+            if own and (is_part or self._options(text, slot, value, own) == (own,)):
+                found[slot] = own
         return found
 
     def hours_in(

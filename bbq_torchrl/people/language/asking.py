@@ -11,6 +11,9 @@ from bbq_torchrl.domains.frames import Frame
 OPENING = Frame("none")
 """Placeholder for the agent's last act before it has acted."""
 
+YES = ("thanks", "confirm_answer")
+"""The acts by which a person takes what the agent offers or proposes."""
+
 FOREIGN = Frame("foreign")
 """Placeholder for the meaning of an out-of-domain sentence."""
 
@@ -41,12 +44,15 @@ class Understood:
         confidence: the probability that the frame is right.
         unclear: words left out of the frame, which the system should ask about.
         source: the nlu that understood it: ``"own"`` or ``"endpoint"``.
+        takes: the probability that it takes what the agent offers or proposes, whatever else it
+            says.
     """
 
     frame: Frame
     confidence: float
     unclear: tuple[Unclear, ...] = ()
     source: str = "own"
+    takes: float = 0.0
 
 
 def asked_slot(question: Frame) -> str | None:

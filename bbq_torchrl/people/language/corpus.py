@@ -14,7 +14,7 @@ from tensordict import TensorDict
 
 from bbq_torchrl.domains import Domain, tensorize
 from bbq_torchrl.domains.frames import ANY, AVAILABLE_TEXT, NO_MATCH_TEXT, Coding, Frame
-from bbq_torchrl.people.language.asking import OPENING
+from bbq_torchrl.people.language.asking import OPENING, YES
 from bbq_torchrl.people.language.composer import Composer
 from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.paraphrase import (
@@ -49,12 +49,14 @@ class Example:
         tags: the slot whose value each word is part of, else :data:`OUTSIDE`.
         frame: the meaning.
         question: the agent's last act; :data:`OPENING` before its first.
+        takes: whether it takes what the agent offers or proposes, whatever else it says.
     """
 
     words: list[str]
     tags: list[str]
     frame: Frame
     question: Frame
+    takes: bool = False
 
 
 def tag(pieces: Sequence[Piece]) -> tuple[list[str], list[str]]:
@@ -97,7 +99,8 @@ def make_examples(
         question, frame = rng.choice(turns) if simulated else frames.draw(rng)
         is_clear = simulated and rng.random() < 0.5
         words, tags = tag(composer.compose(frame, question, rng, paraphrase, is_clear=is_clear))
-        example = _spoil(Example(words, tags, frame, question or OPENING), rng, noise)
+        own = Example(words, tags, frame, question or OPENING, frame.act in YES)
+        example = _spoil(own, rng, noise)
         if example.words and len(example.words) <= 60:
             examples.append(example)
     return examples

@@ -178,7 +178,7 @@ class EndpointUnderstander:
         frame, unclear = found
         agrees = str(frame) == str(own.frame)
         confidence = own.confidence if agrees else max(own.confidence, self._own.threshold)
-        return Understood(frame, confidence, unclear, source="endpoint")
+        return Understood(frame, confidence, unclear, "endpoint", own.takes)
 
     def _schema(self) -> dict[str, Any]:
         slots = {"type": "string", "enum": list(self._own.lexicon.slots)}

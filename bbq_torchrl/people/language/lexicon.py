@@ -315,7 +315,11 @@ class _Names:
         )
         if not total:
             return scored
-        near = {index for _, like in likenesses for word in like for index in self._having[word]}
+        # A name that shares only "the" is near to no other text than "the".
+        main = [like for word, like in likenesses if word not in SMALL] or [
+            like for _, like in likenesses
+        ]
+        near = {index for like in main for word in like for index in self._having[word]}
         for index in sorted(near):
             key, words, named = self._keys[index], self._words[index], self._named[index]
             shared = taken = 0.0

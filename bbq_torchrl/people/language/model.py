@@ -88,7 +88,7 @@ _MAX_FEATURES = 16_000  # keeps the features that the most sentences have
 
 
 class IntentNet(nn.Module):
-    """A bag of features, one hidden layer, three heads.
+    """A bag of features, one hidden layer, four heads.
 
     Args:
         features: the known features; others are ignored.
@@ -101,7 +101,7 @@ class IntentNet(nn.Module):
         self.features, self.acts, self.slots = tuple(features), tuple(acts), tuple(slots)
         self._index = {name: index for index, name in enumerate(self.features)}
         self.bag = nn.EmbeddingBag(len(self.features), _WIDTH, mode="sum")
-        self.heads = nn.Linear(_WIDTH, len(self.acts) + 2 * (len(self.slots) + 1))
+        self.heads = nn.Linear(_WIDTH, len(self.acts) + 2 * (len(self.slots) + 1) + 1)
         nn.init.normal_(self.bag.weight, std=0.05)
 
     def encode(self, sentences: Iterable[Iterable[str]]) -> tuple[torch.Tensor, torch.Tensor]:
@@ -119,7 +119,7 @@ class IntentNet(nn.Module):
         return flat, torch.tensor([len(bag) for bag in bags])
 
     def forward(self, flat: torch.Tensor, sizes: torch.Tensor) -> tuple[torch.Tensor, ...]:
-        """Returns the logits of acts ``[B, A]``, requests and don't-cares ``[B, S + 1]``.
+        """Returns logits: acts ``[B, A]``, requests, don't-cares ``[B, S + 1]``, yes ``[B, 1]``.
 
         Args:
             flat: the feature ids of sentences, see :meth:`encode`.
@@ -129,7 +129,7 @@ class IntentNet(nn.Module):
         hidden = self.bag(flat, starts) / sizes.clamp(min=1).sqrt()[:, None]
         hidden = functional.relu(hidden)
         n_acts, n_slots = len(self.acts), len(self.slots) + 1
-        return self.heads(hidden).split([n_acts, n_slots, n_slots], -1)
+        return self.heads(hidden).split([n_acts, n_slots, n_slots, 1], -1)
 
 
 def _fitted_net(
@@ -139,6 +139,7 @@ def _fitted_net(
     sentences = [features.of_sentence(e.words, e.tags, e.question) for e in examples]
     slots, acts = domain.slots, (*domain.acts, FOREIGN.act)
     target = torch.tensor([acts.index(example.frame.act) for example in examples])
+    takes = torch.tensor([[float(example.takes)] for example in examples])
     requests, dont_care = torch.zeros(2, len(examples), len(slots) + 1)
     for row, example in enumerate(examples):
         frame, asked = example.frame, asked_slot(example.question)
@@ -166,11 +167,12 @@ def _fitted_net(
                 is_kept = torch.rand(len(places)) > _LEFT_OUT
                 owner = torch.arange(len(rows)).repeat_interleave(own)[is_kept]
                 kept = torch.bincount(owner, minlength=len(rows))
-                act, request, care = net(flat[places[is_kept]], kept)
+                act, request, care, taking = net(flat[places[is_kept]], kept)
                 loss = (
                     functional.cross_entropy(act, target[rows], label_smoothing=0.02)
                     + 25 * functional.binary_cross_entropy_with_logits(request, requests[rows])
                     + 15 * functional.binary_cross_entropy_with_logits(care, dont_care[rows])
+                    + functional.binary_cross_entropy_with_logits(taking, takes[rows])
                 )
                 optimizer.zero_grad()
                 loss.backward()
@@ -193,6 +195,7 @@ class Reading:
         requests: the probability that each slot is asked for, ``[S]``.
         dont_care: the probability that each slot does not matter, ``[S]``.
         foreign: the probability that the sentence is out of domain.
+        takes: the probability that it takes what the agent offers or proposes.
     """
 
     tags: list[str]
@@ -202,6 +205,7 @@ class Reading:
     requests: torch.Tensor
     dont_care: torch.Tensor
     foreign: float = 0.0
+    takes: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -217,7 +221,7 @@ class Model:
         """Returns the reading of a sentence of at least one word."""
         tags, chance = self.tagger(self.features.of_words(words, question))
         named = self.features.of_sentence(words, tags, question)
-        acts, requests, dont_care = self.net(*self.net.encode([named]))
+        acts, requests, dont_care, takes = self.net(*self.net.encode([named]))
         slot = asked_slot(question)
         asked = self.net.slots.index(slot) if slot in self.net.slots else None
         return Reading(
@@ -228,6 +232,7 @@ class Model:
             _of_slots(requests[0], asked),
             _of_slots(dont_care[0], asked),
             acts[0].softmax(-1)[-1].item(),
+            takes.sigmoid().item(),
         )
 
 

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 from bbq_torchrl.domains import Domain
 from bbq_torchrl.domains.frames import ANY, Frame
-from bbq_torchrl.people.language.asking import FOREIGN, OPENING
+from bbq_torchrl.people.language.asking import FOREIGN, OPENING, YES
 from bbq_torchrl.people.language.corpus import Example, spoiled, tag
 from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.paraphrase import Paraphraser
@@ -206,8 +206,10 @@ def as_examples(lines: Sequence[Line], lexicon: Lexicon) -> list[Example]:
                 place = lexicon.place(untagged(words, tags), slot, value)
             if place is not None:
                 tags[place.start : place.stop] = [slot] * len(place)
-        heard = without_unknown(frame)
-        examples.append(Example(words, tags, heard, question or OPENING))
+        heard, takes = without_unknown(frame), frame.act in YES
+        if takes and heard.informs:  # "yes, two seats"
+            heard = replace(heard, act="request" if heard.requests else "inform")
+        examples.append(Example(words, tags, heard, question or OPENING, takes))
     return examples
 
 

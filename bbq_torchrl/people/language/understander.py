@@ -40,7 +40,7 @@ from bbq_torchrl.people.language.training_lines import (
 from bbq_torchrl.people.language.words import words_of
 from bbq_torchrl.utils.files import write_bytes
 
-SENTENCES = 8_600
+SENTENCES = 9_400
 """The maximum number of people's sentences to learn from."""
 
 THRESHOLD = 0.65
@@ -59,7 +59,7 @@ _FOREIGN = 2  # people's sentences to one out-of-domain sentence
 _UNLEARNED = 20  # one in this many of people's sentences only fits the temperature
 _FEWEST = 50  # of them; with fewer, the grammar's sentences fit it
 _TEMPERATURES = np.geomspace(0.5, 20.0, 75)
-_FORMAT = 1
+_FORMAT = 2
 
 
 class Understander:
@@ -151,7 +151,7 @@ class Understander:
         """Returns the temperature at which the confidence fits unlearned sentences best."""
         chances, right = [], []
         for example in examples:
-            frame, _, chance = self._read(example.words, example.question)
+            frame, _, chance, _ = self._read(example.words, example.question)
             chances.append(chance)
             right.append(same_frame(frame, example.frame, self.lexicon))
         confidence = np.exp(np.array(chances) / _TEMPERATURES[:, None]).clip(1e-6, 1 - 1e-6)
@@ -170,8 +170,8 @@ class Understander:
                 is too long.
         """
         words = words_of(text)[:_MAX_WORDS]
-        frame, unclear, chance = self._read(words, question or OPENING)
-        return Understood(frame, math.exp(chance / self._temperature), unclear)
+        frame, unclear, chance, takes = self._read(words, question or OPENING)
+        return Understood(frame, math.exp(chance / self._temperature), unclear, takes=takes)
 
     def asks(self, understood: Understood) -> bool:
         """Returns whether the system should ask again instead of acting."""
@@ -179,10 +179,10 @@ class Understander:
 
     def _read(
         self, words: Sequence[str], question: Frame
-    ) -> tuple[Frame, tuple[Unclear, ...], float]:
-        """Returns the frame of some words, the unclear words, and its log-probability."""
+    ) -> tuple[Frame, tuple[Unclear, ...], float, float]:
+        """Returns the frame of some words, the unclear ones, its log-probability, and the yes's."""
         reading = self._model.read(words, question)
-        return assemble(words, reading, question, self.lexicon)
+        return *assemble(words, reading, question, self.lexicon), reading.takes
 
     def save(self, path: str | Path) -> None:
         """Writes the learned parts into one file, in numpy's format without pickles."""
