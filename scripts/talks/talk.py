@@ -103,6 +103,8 @@ class Talk:
         was_offered = any(complete in answer.answered.informs for _, answer in self.said)
         for slot in said.requests:
             is_answered = act.informs.get(slot, "no match") not in _RESERVED
+            is_heard = slot in now.understood.requests
+            is_answered |= bool(act.choices) and is_heard  # a list of them, or of their cities
             count["questions"] += 1
             count["answered"] += is_answered
             count["late_questions"] += was_offered

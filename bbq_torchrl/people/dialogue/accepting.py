@@ -83,6 +83,8 @@ class Accepting:
         told = {own.get(fold(value), slot): value for slot, value in values_of(said.frame).items()}
         free = {s: v for s, v in values_of(reading.frame).items() if s in self._free}
         told = self._spelling.besides({**free, **told}, record)
+        if takes:  # "Saturday night works for us"
+            told = self._spelling.on_day(told, record)
         requests = tuple(slot for slot in said.frame.requests if slot != self._ticket)
         is_meant = self._spelling.is_meant
         told |= {s: own for s, own in proposal.items() if s in told and is_meant(s, told[s], own)}
@@ -147,6 +149,7 @@ class Accepting:
         if beside is not None and is_sure:
             beside = self._hear.of_record(beside, offer, text)  # "today" is tonight's day
             told = self._spelling.besides(values_of(beside.frame), offer)
+            told = self._spelling.on_day(told, offer) if takes else told
             if self._asks_more(reading, text, offer):
                 return replace(reading, frame=Frame("not_sure")), False
             is_repeated = told.items() <= offer.items() and not beside.unclear

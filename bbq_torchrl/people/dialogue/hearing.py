@@ -64,6 +64,10 @@ class Hearing:
     def __call__(self, text: str, question: Frame | None) -> Understood:
         """Returns the meaning of a text, with its values in the one spelling."""
         reading = self._nlu(text, question)
+        if question is not None and question.choices and self.is_bare(reading.frame):
+            alone = self._nlu(text, Frame("request", {}, question.requests))
+            if ANY in alone.frame.informs.values():  # none of the list: "I don't care"
+                reading = alone
         rules = self._rules
         if "aside" in rules and question is not None:
             reading = self._aside(text, question.requests[:1], reading)

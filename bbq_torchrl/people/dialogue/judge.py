@@ -125,7 +125,7 @@ class Judge:
             right = right & self._having(slot, answers[slot])
         faults = {
             "no offer": not offer,
-            "wishes": bool(offer) and not self._has_wishes(offer, wishes),
+            "wishes": bool(offer) and not self._has_wishes(offer, answers, wishes),
             "no ticket": bool(offer) and offer[self._complete] != _AVAILABLE,
             "questions": not right,
         }
@@ -166,10 +166,16 @@ class Judge:
                 found |= rows
         return found
 
-    def _has_wishes(self, offer: Mapping[str, str], wishes: Mapping[str, str]) -> bool:
+    def _has_wishes(
+        self,
+        offer: Mapping[str, str],
+        answers: Mapping[str, set[str]],
+        wishes: Mapping[str, str],
+    ) -> bool:
         """Returns whether an offer says each wish, or all records that it may book have it.
 
-        It may book those with the most of its values: what is not on file is in no record.
+        One is enough if the agent said so: "It has a senior discount." It may book those with the
+        most of its values: what is not on file is in no record.
         """
         offered = {} if self._as_simulated else offer
         counts = Counter(
@@ -177,11 +183,13 @@ class Judge:
         )
         most = max(counts.values(), default=0)
         booked = {row for row, count in counts.items() if count == most}
-        return all(
-            value in (offer.get(slot), _DONT_CARE)
-            or (booked and booked <= self._having(slot, [value]))
-            for slot, value in wishes.items()
-        )
+
+        def is_had(slot: str, value: str) -> bool:
+            having = booked & self._having(slot, [value])
+            is_said = value in (offer.get(slot), _DONT_CARE)
+            return is_said or bool(having and (having == booked or value in answers.get(slot, ())))
+
+        return all(is_had(slot, value) for slot, value in wishes.items())
 
 
 def _folded(values: Mapping[str, str]) -> dict[str, str]:

@@ -24,7 +24,7 @@ from bbq_torchrl.people.language.words import is_no
 from bbq_torchrl.simulator import Simulator
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping
+    from collections.abc import Iterable, Mapping, Sequence
 
     import torch
     from tensordict import TensorDict
@@ -283,7 +283,7 @@ class Partner:
                     return found
                 # There is no other, and nothing stands: the agent goes on.
                 told = Frame("inform", values_of(reading.frame) | dict.fromkeys(dropped, ANY))
-                answer = self._act(now, reading, told, turn.words, is_booked=False)
+                answer = self._act(now, reading, told, turn.words)
                 return _led(answer, found.text)
         understood = before.asking.joined(reading.frame)
         is_unsure = self._is_unsure(turn, reading)
@@ -295,7 +295,10 @@ class Partner:
             answered, ended = Frame(understood.act), "person" if understood.act == "closing" else ""
             sentence = self._nlg.agent(answered, **turn.words)
             return Answer(sentence, reading, understood, answered, now, ended=ended)
-        answer = self._act(now, reading, understood, turn.words, is_booked=is_booked)
+        is_list = turn.question is not None and bool(turn.question.choices)
+        again = self._tracking.open(before.state) if is_list else ()
+        lists = [slot for slot in understood.requests if slot not in again]
+        answer = self._act(now, reading, understood, turn.words, is_booked=is_booked, lists=lists)
         if before.proposal and before.proposal.items() <= understood.informs.items():
             lent = before.proposal.keys() - values_of(spoken)
             state = self._tracking.lent(answer.memory.state, before.state, lent)
@@ -510,9 +513,13 @@ class Partner:
         understood: Frame,
         words: dict[str, Any],
         *,
-        is_booked: bool,
+        is_booked: bool = False,
+        lists: Sequence[str] = (),
     ) -> Answer:
-        """Returns the policy's answer to an act, or the way out if no record has all wishes."""
+        """Returns the policy's answer to an act, or the way out if no record has all wishes.
+
+        Of the slots in ``lists`` it is the list of what is left, if there are several.
+        """
         before, rules, is_offered = now.state, self.control.rules, now.is_offered
         is_denied = is_offered and self._hear.is_bare(understood, "deny")
         told = {**understood.informs}
@@ -534,6 +541,11 @@ class Partner:
             if not is_denied and self.control.is_stuck(state, self._ways_out.refused(now)):
                 now = replace(now, state=state)
                 return self._ways_out.alternative(now, reading, words, asked, is_refused=False)
+            if not (is_denied or now.proposal or bool(state["offered"])):
+                now_told = replace(now, state=state)
+                listed = self._ways_out.listed(now_told, reading, words, lists)
+                if listed is not None:
+                    return replace(listed, understood=understood)
         reply = self._acting.book if is_booked else self._acting.reply
         acted = reply(before, understood, words["session"], self._ways_out.refused(now))
         if state is not None and self._is_elsewhere(state, acted.state):
@@ -541,7 +553,9 @@ class Partner:
             now = replace(now, state=state)
             found = self._ways_out.alternative(now, reading, words, asked, is_refused=False)
             return replace(found, understood=understood)
-        is_asked = acted.answered.act == "request" and self._fixed & {*acted.answered.requests}
+        is_asked = acted.answered.act == "request"
+        is_asked &= not self._fixed.isdisjoint(acted.answered.requests)
+        is_asked &= len(acted.parts) == 1 or bool(asked)  # not after an earlier question
         lacks = any(NO_MATCH_TEXT in act.informs.values() for act, _ in acted.parts)
         if state is not None and is_asked and not (is_denied or now.proposal or lacks):
             now_told, slot = replace(now, state=state), acted.answered.requests[0]

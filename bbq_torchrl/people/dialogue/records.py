@@ -335,6 +335,9 @@ class Records:
         fits &= ~self._is_elsewhere(lacks)
         if slot in self._minutes:
             fits &= self.parts(held).get(slot, True)
+            is_dated = any(held[date] >= FIRST_VALUE for date in self._is_on)
+            is_plain = fits & ~(self._is_odd | self._is_vague)  # "tonight" at 8 pm
+            fits = is_plain if is_dated and is_plain.any() else fits
         has = fits & self.has[:, list(asked)].all(-1)
         fits = has if has.any() else fits
         missing = torch.where(fits, lacks.sum(-1), len(held))

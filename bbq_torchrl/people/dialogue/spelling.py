@@ -181,18 +181,21 @@ class Spelling:
     def as_in(
         self, record: Mapping[str, str], text: str, values: Mapping[str, str]
     ) -> dict[str, str]:
-        """Returns the values of a text, with a record's times where it says neither am nor pm.
+        """Returns the values of a text, with a record's times where it says neither am nor pm."""
+        found = dict(values)
+        for slot, value in values.items():
+            if slot in record and self._options(text, slot, value, record[slot]) == (record[slot],):
+                found[slot] = record[slot]
+        return found
 
-        "Saturday night" is the Saturday of a show at that time.
-        """
+    def on_day(self, values: Mapping[str, str], record: Mapping[str, str]) -> dict[str, str]:
+        """Returns values with a record's date for a part of its day that its time is in."""
         kinds, found = self.lexicon.kinds, dict(values)
         times = [time for slot, time in record.items() if kinds.get(slot) == "time"]
         for slot, value in values.items():
-            own = record.get(slot, "")
-            is_part = kinds.get(slot) == "date" and day_of(value) == day_of(own)
-            is_part &= any(day_at(value, time) == value for time in times)
-            if own and (is_part or self._options(text, slot, value, own) == (own,)):
-                found[slot] = own
+            is_day = kinds.get(slot) == "date" and day_of(value) == day_of(record.get(slot, ""))
+            if is_day and any(day_at(value, time) == value for time in times):
+                found[slot] = record[slot]
         return found
 
     def hours_in(

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from itertools import compress
 from typing import TYPE_CHECKING
 
 import torch
 from tensordict import TensorDict
 
 from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT, Coding
-from bbq_torchrl.domains.values import AVAILABLE, FIRST_VALUE, NONE
+from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, FIRST_VALUE, NONE
 from bbq_torchrl.people.language import Frame
 from bbq_torchrl.simulator import Utterance
 
@@ -163,6 +164,13 @@ class Tracking:
         is_lent &= before["wished"] == 0
         return state.replace(wished=torch.where(is_lent, 0, state["wished"]))
 
+    def open(self, state: TensorDict | None) -> tuple[str, ...]:
+        """Returns the slots that the person has asked for and has not been told."""
+        if state is None:
+            return ()
+        asked = (state["heard_requests"] | state["open_requests"]).tolist()
+        return tuple(compress(self._coding.slots, asked))
+
     def aside(self, state: TensorDict | None) -> dict[str, str]:
         """Returns the values that the control has set aside, by slot."""
         return {} if state is None or "aside" not in state else self.values(state["aside"])
@@ -257,7 +265,11 @@ class Acting:
             open_requests=heard["open_requests"] & is_open,
         )
         is_known = ((told < FIRST_VALUE) | (told == full(state))).all()
-        return self._control.remember(heard.replace(offered=state["offered"] & is_known))
+        heard = self._control.remember(heard.replace(offered=state["offered"] & is_known))
+        # Who asks where, and does not care, is told one, and that is offered.
+        asks = heard["heard_requests"] | heard["open_requests"]
+        is_free = asks & (full(heard) == DONT_CARE)
+        return heard.replace(held=torch.where(is_free, NONE, heard["held"]))
 
     def book(
         self,
@@ -361,7 +373,12 @@ class Acting:
         after["times_asked"] = state["times_asked"] + after["agent_requests"]
         if self._booking[action]:
             is_available = after["agent_informs"][self._agent.domain.slots.index(self._complete)]
-            return after.replace(offered=is_available == AVAILABLE)
+            is_open = after["agent_informs"] < FIRST_VALUE  # an offer answers what it names
+            return after.replace(
+                offered=is_available == AVAILABLE,
+                heard_requests=after["heard_requests"] & is_open,
+                open_requests=after["open_requests"] & is_open,
+            )
         # A yes to a later question takes no offer.
         return after.replace(offered=after["offered"] & ~after["agent_requests"].any())
 

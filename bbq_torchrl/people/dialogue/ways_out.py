@@ -361,6 +361,38 @@ class WaysOut:
             return self._several(now, reading, slot, choices, words)
         return None
 
+    def listed(
+        self, now: Memory, reading: Understood, words: dict[str, Any], requests: Sequence[str]
+    ) -> Answer | None:
+        """Returns the list of what a person asks for, if there are several values of it.
+
+        Of many it is the list of where they are.
+
+        Args:
+            now: the memory, with the state after the person's act.
+            reading: the meaning of the text.
+            words: what determines the words.
+            requests: the slots asked for.
+        """
+        assert now.state is not None
+        held, index = full(now.state), self._slots.index
+        open_ = [one for one in requests if one in self._listed and held[index(one)] < FIRST_VALUE]
+        if not open_:
+            return None
+        slot, number = open_[0], index(open_[0])
+        found = self._choices(now, held, number, is_other=False)
+        if len(found) < 2:
+            return None
+        wider = self._records.determines[index(self._holder)] & self._place & (held == NONE)
+        is_of_place = slot == self._holder or self._lexicon.kinds[slot] == "time"
+        if len(found) > MAX_CHOICES and is_of_place and wider.any():
+            where = int(wider.nonzero()[0])
+            places = self._choices(now, held, where, is_other=False)
+            if len(places) > 1:
+                slot, number, found = self._slots[where], where, places
+        values = tuple(self._records.vocabulary[number][value] for value in found)
+        return self._several(now, reading, slot, values, words)
+
     def on_file(
         self, now: Memory, reading: Understood, words: dict[str, Any], told: Mapping[str, str]
     ) -> Answer | None:

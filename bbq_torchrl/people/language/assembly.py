@@ -169,7 +169,7 @@ def chosen(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | Non
         if "earlier" in words or "earliest" in words:
             return clocks[min(clocks)]
     # Words that one choice has more of than the others: "the downtown one".
-    said = {compact(word) for word in words} - {"one", "the", "am", "pm"}
+    said = {compact(word) for word in words} - {"", "one", "the", "am", "pm"}
     shared = {value: len(said & {*map(compact, value.split())}) for value in choices}
     most = max(shared.values())
     best = [value for value in choices if shared[value] == most]

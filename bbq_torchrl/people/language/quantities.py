@@ -277,11 +277,13 @@ def day_at(date: str, time: str) -> str:
     Examples:
         >>> [day_at(date, "10:05 am") for date in ("tonight", "friday night", "friday")]
         ['today', 'friday', 'friday']
-        >>> day_at("tonight", "8 pm")
-        'tonight'
+        >>> [day_at("tonight", time) for time in ("4:15 pm", "6 pm", "11:45 pm")]
+        ['today', 'tonight', 'tonight']
     """
     part = next((word for word in (read_date(date) or "").split() if word in PART_WORDS), "")
     first, last = span_of(part) or (-math.inf, math.inf)
+    if part == "night":
+        first, last = first - 60, math.inf  # a date's night has the whole evening
     minutes = of_evening(minutes_of(time))
     if math.isnan(minutes) or first <= minutes <= last:
         return date

@@ -115,7 +115,7 @@ OFFER = ("inform(moviename=guardians of the galaxy vol. 3, city=newark)", "infor
 
 
 def test_answers_and_wishes_are_those_of_one_record(talk, spelling):
-    """Whatever else the agent does, and whenever the person asks and tells."""
+    """Whatever else the agent does, and whenever the person asks and tells, without lists."""
     chance, judge = random.Random(3), Judge(spelling.domain)
     goals = [goal for goal in spelling.domain.goals if judge.is_attainable(goal)]
     actions = list(map(str, spelling.domain.actions))
@@ -126,7 +126,8 @@ def test_answers_and_wishes_are_those_of_one_record(talk, spelling):
         chance.shuffle(texts)
         told = {}
         turns = [(text, *chance.sample(actions, len(actions))) for text in texts]
-        for text, answer in zip(texts, talk(*turns, rules=None), strict=True):
+        rules = tuple(name for name in RULES if name != "way_out")
+        for text, answer in zip(texts, talk(*turns, rules=rules), strict=True):
             told |= answer.answered.informs
             assert set(Frame.parse(text).requests) <= answer.answered.informs.keys()
         wanted = {**goal.constraints, **{slot: told[slot] for slot in goal.requests}}

@@ -63,10 +63,17 @@ def is_heard(answer, slots):
     return {*slots} <= known | {*answer.answered.informs}
 
 
+def is_told(answer, slot):
+    """Whether an answer tells a value of a slot, or a list of them."""
+    act = answer.answered
+    told = {*act.informs, *answer.memory.proposal, *(act.requests if act.choices else ())}
+    return slot in told
+
+
 IS_SO = {
     "takes": is_taken,
     "stands": lambda before, answer, _: answer.memory.proposal == before.memory.proposal,
-    "tells": lambda _, answer, slot: slot in {*answer.answered.informs, *answer.memory.proposal},
+    "tells": lambda _, answer, slot: is_told(answer, slot),
     "understood": lambda _, answer, told: told.items() <= answer.understood.informs.items(),
     "hears": lambda _, answer, slots: is_heard(answer, slots),
     "another": is_another,

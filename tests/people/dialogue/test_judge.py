@@ -66,6 +66,15 @@ def test_a_vague_time_is_met_by_a_time_in_it_but_not_for_simulated_users(wish, i
     assert "wishes" in Judge(domain, as_simulated=True).reasons(goal, said)
 
 
+@pytest.mark.parametrize(("told", "reasons"), [(["inform(city=reno)"], ()), ([], ("wishes",))])
+def test_what_only_one_of_the_records_booked_has_is_met_once_it_is_said(told, reasons):
+    goal = Goal({"moviename": "wonka", "city": "reno"})
+    showing = {"moviename": "wonka", "theater": "lux"}
+    judge = Judge(small_domain(goal, records=[showing, {**showing, "city": "reno"}]))
+    offer = "inform(moviename=wonka, theater=lux, taskcomplete=ticket available)"
+    assert judge.reasons(goal, [*exchanges([*told, offer])]) == reasons
+
+
 def test_goals_are_attainable_where_one_record_has_it_all(judge):
     assert judge.is_attainable(GOAL)
     assert not judge.is_attainable(Goal({"moviename": "deadpool", "city": "austin"}))
