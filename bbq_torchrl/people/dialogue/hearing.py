@@ -95,6 +95,7 @@ class Hearing:
         counts = {slot for slot in informs if kinds.get(slot) == "count"}
         is_pronoun = moves.says(text, "the_one") and {informs[s] for s in counts} == {"1"}
         is_other = is_pronoun or self._is_in_names(words, {informs[s] for s in counts})
+        is_other |= moves.says(text, "rest")  # "and the 3 others?"
         if is_other or (question and counts and not self._is_counted(text, question)):
             informs = {s: v for s, v in informs.items() if s not in counts}
         days = [value for slot, value in informs.items() if kinds.get(slot) == "date"]

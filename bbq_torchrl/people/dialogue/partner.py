@@ -171,7 +171,7 @@ class Partner:
                 frame = replace(reading.frame, informs={**counts, **reading.frame.informs})
                 reading = replace(reading, frame=frame)
             if told.text and told.rest and (named := self._elsewhere(before, record, told.rest)):
-                untold = "" if told.values else told.text
+                untold = "" if told.values or told.is_guess else told.text
                 text = told.rest if untold else text
                 told, reading = Told("", {}, text), self._hear(text, question)
                 frame = replace(reading.frame, informs={**named, **reading.frame.informs})
@@ -207,7 +207,7 @@ class Partner:
             if record and not reading.unclear and answer.memory.asking.times > before.asking.times:
                 answer = self._say(now, self._nlg.say("stands", **words), reading)
         informs = {**told.values, **answer.answered.informs}
-        is_told = told.text in answer.text
+        is_told = told.text in answer.text or (told.is_guess and self._shows_more(before, answer))
         # What one record lacks, and the other has that is told of beside it.
         is_told |= bool(told.values) and all(
             value != informs[slot] for slot, value in told.values.items()
@@ -236,6 +236,11 @@ class Partner:
         found = self._ways_out.back(now, reading, record, words)
         beside = self._questions(self._ways_out.nearest(found.memory), text, words)
         return _led(found, beside.text)
+
+    def _shows_more(self, before: Memory, answer: Answer) -> bool:
+        """Returns whether an answer offers or lists something else: "is 3:30 possible?"."""
+        shown = self._ways_out.shown(answer.memory)
+        return bool(answer.answered.choices or (shown and shown != self._ways_out.shown(before)))
 
     def _is_news(self, record: Mapping[str, str], frame: Frame, text: str) -> bool:
         """Returns whether a text says more of a record than where and when it is.
@@ -481,8 +486,15 @@ class Partner:
     def _without_strange(
         self, reading: Understood, question: Frame | None, words: dict[str, Any]
     ) -> tuple[Understood, str]:
-        """Returns a reading without details that no record has, and the sentence that says so."""
+        """Returns a reading without details that no record has, and the sentence that says so.
+
+        So are words for a day or a time in passing: "we read it last spring. where is it on?"
+        """
+        kinds = self._spelling.lexicon.kinds
         details = self._details.difference(question.requests if question else ())
+        if question is not None and (values_of(reading.frame) or reading.frame.requests):
+            passing = {slot for slot, kind in kinds.items() if kind in ("date", "time")}
+            details |= passing.difference(question.requests)
         unclear = [one for one in reading.unclear if not (one.candidates or one.is_denied)]
         names = [one.text for one in unclear if one.slot in details]
         left = tuple(one for one in reading.unclear if one.text not in names)
@@ -675,5 +687,6 @@ class Partner:
 
 
 def _led(answer: Answer, sentence: str) -> Answer:
-    """Returns an answer that begins with another sentence, if that is not empty."""
-    return replace(answer, text=f"{sentence} {answer.text}") if sentence else answer
+    """Returns an answer that begins with another sentence, if that is not empty or in it."""
+    is_new = bool(sentence) and sentence not in answer.text
+    return replace(answer, text=f"{sentence} {answer.text}") if is_new else answer

@@ -32,12 +32,14 @@ class Told:
         values: the values of the record that they tell, by slot.
         rest: what else the text says.
         is_yes: whether no answer is a "no".
+        is_guess: whether it only owns up to not knowing what the text asks, as far as it is heard.
     """
 
     text: str
     values: Mapping[str, str]
     rest: str
     is_yes: bool = True
+    is_guess: bool = False
 
 
 class Questions:
@@ -79,7 +81,8 @@ class Questions:
         rest: list[str] = []
         told: dict[str, str] = {}
         found: tuple[str, dict[str, str], bool] | None
-        is_yes, is_refused = True, False
+        is_yes, is_refused, is_guess = True, False, True
+        unknown = self._nlg.say("unknown_question", **words)
         full = sorted(map(fold, record.values()), key=len, reverse=True)
         short = {name.partition(" ")[0] for name in full if " " in name} - SMALL  # "the AMC"
         name = rf"(?:{'|'.join(map(re.escape, full)) or '_'})\b"
@@ -93,7 +96,7 @@ class Questions:
             is_untold = moves.says(sentence, "untold")
             is_untold &= bool(record) or not moves.says(sentence, "nearest")
             if moves.says(sentence, "question") and is_untold:
-                found = self._nlg.say("unknown_question", **words), {}, True
+                found = unknown, {}, True
             elif not is_others and (record or self._is_unheard(sentence, None)):
                 found = self._answer(record or near or {}, about, words)
             else:
@@ -111,9 +114,10 @@ class Questions:
                 said.append(found[0].removeprefix(yes) if is_again else found[0])
             told |= found[1]
             is_yes &= found[2]
+            is_guess &= found[0] == unknown and not is_untold and not moves.says(sentence, "perk")
         if not said:
             return Told("", {}, " ".join(rest) if is_refused else text)
-        return Told(" ".join(said), told, " ".join(rest), is_yes)
+        return Told(" ".join(said), told, " ".join(rest), is_yes, is_guess)
 
     def _answer(
         self, record: Mapping[str, str], sentence: str, words: dict[str, Any]

@@ -646,6 +646,9 @@ class WaysOut:
         proposal = self._tracking.values(ids)
         missed = [n for n in records.conflict(held) if not records.minor[n]]
         conflict = {self._slots[n]: records.vocabulary[n][held[n]] for n in missed}
+        own = self._tracking.values(row)
+        if all(self._spelling.is_meant(s, v, own.get(s, "")) for s, v in conflict.items()):
+            conflict = {}  # but for a detail, which is told beside it
         asks = bool(values_of(reading.frame) or reading.frame.requests)
         times = 1 if asks and proposal != now.proposal else now.times + 1
         if not change or times > _MAX_PROPOSALS:

@@ -37,6 +37,7 @@ _DENIED_BEFORE, _DENIED_AFTER = (
 )
 _NO = re.compile(ENGLISH["denied_by_no"])
 _PAIR, _MARKS = 2, frozenset(",.;!?")  # "no, 1" is no name
+_UNTIL = ("by", "until", "till")
 _NOT = ("no", "not", "nothing", "isn't", "isnt")
 _ALL = re.compile(ENGLISH["all_counted"])
 _NO_COUNT = re.compile(ENGLISH["no_count"])
@@ -137,8 +138,9 @@ def _is_no_count(words: Sequence[str], span: Span, lexicon: Lexicon) -> bool:
     """Returns whether words are no number of people, as "one of the earlier ones", "3 hours"."""
     own = " ".join(words[span.start : span.end])
     said = " ".join(words[span.start : span.end + _MAX_AFTER])
-    is_none = _NO_COUNT.search(own) or _NO_COUNT.match(said)
-    return lexicon.kinds[span.slot] == "count" and is_none is not None
+    is_none = _NO_COUNT.search(own) is not None or _NO_COUNT.match(said) is not None
+    is_none |= words[span.start - 1] in _UNTIL and span.start > 0  # "in bed by ten"
+    return lexicon.kinds[span.slot] == "count" and is_none
 
 
 def _as_time(words: Sequence[str], span: Span, asked: str, lexicon: Lexicon) -> Span:
