@@ -30,9 +30,11 @@ README = ("BBQN-MAP", "DQN-Bootstrap", "DQN-Boltzmann", "DQN", "GP")
 
 
 LEFT_OUT = tuple(
-    f"{name}, searched" for name in ("BBQN-MAP", "BBQN-MC", "DQN-VIME-MAP", "DQN-VIME-MC")
+    f"{name}, searched"
+    for name in PAPER["full"]
+    if name not in ("DQN", "DQN-Boltzmann", "DQN-Bootstrap")
 )
-"""Searched agents that are not in the small table: Soft BBQN-MAP's settings, and far below DQN."""
+"""Searched agents not in the small table: with Soft BBQN-MAP's settings, or far below DQN."""
 
 SCRIPTS = {"repair": "script `repair`", PRIVILEGED_POLICY: "privileged ceiling"}
 """Policies that do not learn -> their rows."""

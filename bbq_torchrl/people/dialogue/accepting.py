@@ -147,6 +147,7 @@ class Accepting:
             beside = replace(reading, confidence=1.0)
         is_sure = takes or not (asks or moves.says(rest or text, "hesitates", "but"))
         if beside is not None and is_sure:
+            beside = _without_unknown(beside) if takes else beside
             beside = self._hear.of_record(beside, offer, text)  # "today" is tonight's day
             told = self._spelling.besides(values_of(beside.frame), offer)
             told = self._spelling.on_day(told, offer) if takes else told

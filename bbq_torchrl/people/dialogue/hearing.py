@@ -12,7 +12,7 @@ from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.spelling import is_in
 from bbq_torchrl.people.language import Frame, Understood
 from bbq_torchrl.people.language.assembly import is_denied
-from bbq_torchrl.people.language.quantities import about_minutes
+from bbq_torchrl.people.language.quantities import about_minutes, minutes_of
 from bbq_torchrl.people.language.words import SMALL, has_bye, is_farewell, is_no, tokenize
 
 if TYPE_CHECKING:
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
 DOUBTFUL = 0.5
 """The confidence below which a reading is more likely wrong than right, and its values checked."""
 _SHORT = 3  # words that may be a number and nothing else: "for two please"
+_NEARLY = 15  # minutes
 _TINY = 2  # letters of "if" and the like, which are no names among other words
 
 
@@ -152,10 +153,13 @@ class Hearing:
 
         A time without am or pm is the record's: "is it still 10:05?"
         """
+        kinds = self._spelling.lexicon.kinds
         meant = {
             one.slot: record[one.slot]
             for one in reading.unclear
-            if not one.is_denied and is_in(one.text, record.get(one.slot, ""))
+            if not one.is_denied and one.slot in record
+            if is_in(one.text, record[one.slot])
+            or (kinds[one.slot] == "time" and _is_about(one.text, record[one.slot]))
         }
         unclear = tuple(one for one in reading.unclear if one.slot not in meant)
         informs = self._spelling.as_in(record, text, reading.frame.informs) | meant
@@ -348,3 +352,8 @@ class Hearing:
         told = {s: v for s, v in alone.frame.informs.items() if is_better and s not in free}
         frame = Frame("request", {**told, **reading.frame.informs}, named)
         return replace(reading, frame=frame, confidence=alone.confidence)
+
+
+def _is_about(said: str, time: str) -> bool:
+    """Returns whether a time by the clock is nearly another: "10 am" of a show at 10:05 am."""
+    return abs(minutes_of(said) - minutes_of(time)) < _NEARLY

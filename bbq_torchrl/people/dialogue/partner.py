@@ -477,7 +477,8 @@ class Partner:
 
     def _elsewhere(self, before: Memory, record: Mapping[str, str], rest: str) -> dict[str, str]:
         """Returns the values by which the rest of a text names another record, to ask about it."""
-        reading = self._narrowed(self._hear(rest, None), rest, before, record)
+        heard = self._hear.of_record(self._hear(rest, None), record, rest)
+        reading = self._narrowed(heard, rest, before, record)
         named = {s: v for s, v in values_of(reading.frame).items() if s not in self._free}
         is_sure = reading.confidence >= DOUBTFUL or self._spelling.is_named(rest, named)
         is_other = any(record.get(slot, value) != value for slot, value in named.items())
@@ -574,7 +575,9 @@ class Partner:
             unasked = self._ways_out.unasked(now_told, reading, words, slot, asked)
             if unasked is not None:
                 return replace(unasked, understood=understood)
-        sentences = [self._nlg.agent(act, kept, **words) for act, kept in acted.parts]
+        kinds, known = self._spelling.lexicon.kinds, values_of(self._tracking.kept(acted.state))
+        times = {s: v for s, v in known.items() if kinds.get(s) == "time"}  # no "tonight" at 10 am
+        sentences = [self._nlg.agent(act, {**times, **kept}, **words) for act, kept in acted.parts]
         if state is not None:
             told = {s: v for act, _ in acted.parts for s, v in act.informs.items() if s in asked}
             other = self._ways_out.on_file(replace(now, state=state), reading, words, told)
