@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import random
 from collections import Counter, defaultdict
+from itertools import product
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, RESERVED_TEXT, fold
@@ -71,7 +72,7 @@ class Judge:
         self._as_simulated = as_simulated
         self._ticket, self._complete = domain.ticket_slot, domain.complete_slot
         self._free = frozenset((*domain.free_slots, *domain.special_slots))
-        self._all = frozenset(range(len(domain.records)))
+        self._records, self._all = domain.records, frozenset(range(len(domain.records)))
         self._rows: dict[tuple[str, str], set[int]] = defaultdict(set)
         self._has: dict[str, set[int]] = defaultdict(set)
         for row, record in enumerate(domain.records):
@@ -144,9 +145,14 @@ class Judge:
         return self._all.intersection(*wanted)
 
     def _having(self, slot: str, values: Iterable[str]) -> set[int]:
-        """Returns the records that have one of the values, or a time or a day in it."""
+        """Returns the records that have one of the values, or a time or a day in it.
+
+        Today at 8 pm is tonight.
+        """
         # Imported here: the language loads torch, which a study's report needs not.
         from bbq_torchrl.people.language.quantities import (
+            day_of,
+            is_at,
             is_on,
             minutes_of,
             of_evening,
@@ -161,9 +167,11 @@ class Judge:
             if any(first <= minutes <= last for first, last in spans):
                 found |= rows
         days = [] if self._as_simulated else list(filter(read_date, values))
-        for (own, date), rows in self._rows.items() if days else ():
-            if own == slot and any(is_on(date, day) for day in days):
+        for day, ((own, date), rows) in product(days, self._rows.items()):
+            if own == slot and is_on(date, day):
                 found |= rows
+            elif own == slot and day_of(date) == day_of(day):
+                found |= {row for row in rows if is_at(day, self._records[row].values())}
         return found
 
     def _has_wishes(

@@ -292,6 +292,18 @@ def day_at(date: str, time: str) -> str:
     return " ".join(word for word in date.split() if word not in PART_WORDS)
 
 
+def is_at(day: str, values: Iterable[str]) -> bool:
+    """Returns whether a time among some values is in the part of the day that a date names.
+
+    Examples:
+        >>> [is_at(day, ["4:15 pm", "reno"]) for day in ("tonight", "friday afternoon", "friday")]
+        [False, True, False]
+    """
+    has_part = not {*(read_date(day) or "").split()}.isdisjoint(PART_WORDS)
+    times = (value for value in values if sure_kind(value) == "time")
+    return has_part and any(day_at(day, time) == day for time in times)
+
+
 def _read_clock(words: list[str]) -> tuple[int, int, bool] | None:
     """Returns the hour, the minute and whether the clock certainly has 24 hours."""
     line = " ".join(str(_NUMBERS.get(word, word)) for word in words)

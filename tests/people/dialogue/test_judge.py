@@ -66,6 +66,15 @@ def test_a_vague_time_is_met_by_a_time_in_it_but_not_for_simulated_users(wish, i
     assert "wishes" in Judge(domain, as_simulated=True).reasons(goal, said)
 
 
+@pytest.mark.parametrize(("time", "is_met"), [("8 pm", True), ("2:35 pm", False)])
+def test_a_show_today_at_eight_is_tonight(time, is_met):
+    goal = Goal({"moviename": "wonka", "date": "tonight"})
+    show = {"moviename": "wonka", "date": "today", "theater": time}
+    judge = Judge(small_domain(goal, records=[show]))
+    offer = f"inform(moviename=wonka, date=today, theater={time}, taskcomplete=ticket available)"
+    assert (judge.reasons(goal, [*exchanges([offer])]) == ()) == is_met
+
+
 @pytest.mark.parametrize(("told", "reasons"), [(["inform(city=reno)"], ()), ([], ("wishes",))])
 def test_what_only_one_of_the_records_booked_has_is_met_once_it_is_said(told, reasons):
     goal = Goal({"moviename": "wonka", "city": "reno"})
