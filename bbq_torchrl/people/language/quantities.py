@@ -10,6 +10,7 @@ import calendar
 import math
 import re
 from collections.abc import Callable, Iterable
+from functools import lru_cache
 from typing import Literal, get_args
 
 from bbq_torchrl.people.language.words import ENGLISH, pairs, tokenize, word_set
@@ -62,6 +63,7 @@ _SURE: dict[Kind, re.Pattern[str]] = {
 }
 
 
+@lru_cache(maxsize=10_000)
 def sure_kind(text: str) -> Kind | None:
     """Returns the kind of a quantity that nothing else can be, else ``None``.
 
@@ -271,6 +273,7 @@ def is_on(day: str, of: str) -> bool:
     return is_whole and (own == whole or (whole == "weekend" and own in ("saturday", "sunday")))
 
 
+@lru_cache(maxsize=10_000)
 def day_at(date: str, time: str) -> str:
     """Returns a date without its part of the day where a time is not in that.
 
