@@ -6,10 +6,8 @@ dialogue acts are known.
 
 from __future__ import annotations
 
-import math
 import random
 from collections import Counter, defaultdict
-from itertools import product
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains.values import AVAILABLE, DONT_CARE, NO_MATCH, RESERVED_TEXT, fold
@@ -75,6 +73,7 @@ class Judge:
         self._records, self._all = domain.records, frozenset(range(len(domain.records)))
         self._rows: dict[tuple[str, str], set[int]] = defaultdict(set)
         self._has: dict[str, set[int]] = defaultdict(set)
+        self._known: dict[tuple[str, str], set[int]] = {}
         for row, record in enumerate(domain.records):
             for slot, value in record.items():
                 self._rows[slot, fold(value)].add(row)
@@ -149,6 +148,15 @@ class Judge:
 
         Today at 8 pm is tonight.
         """
+        found: set[int] = set()
+        for value in values:
+            if (slot, value) not in self._known:
+                self._known[slot, value] = self._find(slot, value)
+            found |= self._known[slot, value]
+        return found
+
+    def _find(self, slot: str, value: str) -> set[int]:
+        """Returns the records that have a value, or a time or a day in it."""
         # Imported here: the language loads torch, which a study's report needs not.
         from bbq_torchrl.people.language.quantities import (
             day_of,
@@ -160,18 +168,18 @@ class Judge:
             span_of,
         )
 
-        found = set().union(*(self._rows.get((slot, value), ()) for value in values))
-        spans = [] if self._as_simulated else list(filter(None, map(span_of, values)))
-        for (own, time), rows in self._rows.items() if spans else ():
-            minutes = of_evening(minutes_of(time)) if own == slot else math.nan
-            if any(first <= minutes <= last for first, last in spans):
+        found = set(self._rows.get((slot, value), ()))
+        span, is_day = span_of(value), read_date(value) is not None
+        is_vague = not self._as_simulated and (span is not None or is_day)
+        for (own, other), rows in self._rows.items() if is_vague else ():
+            if own != slot:
+                continue
+            if span is not None and span[0] <= of_evening(minutes_of(other)) <= span[1]:
                 found |= rows
-        days = [] if self._as_simulated else list(filter(read_date, values))
-        for day, ((own, date), rows) in product(days, self._rows.items()):
-            if own == slot and is_on(date, day):
+            if is_day and is_on(other, value):
                 found |= rows
-            elif own == slot and day_of(date) == day_of(day):
-                found |= {row for row in rows if is_at(day, self._records[row].values())}
+            elif is_day and day_of(other) == day_of(value):
+                found |= {row for row in rows if is_at(value, self._records[row].values())}
         return found
 
     def _has_wishes(
