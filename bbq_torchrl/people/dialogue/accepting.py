@@ -182,7 +182,8 @@ class Accepting:
 
     def _takes(self, reading: Understood, text: str, asks: bool) -> bool:
         """Returns whether a text takes what is offered, whatever else it says."""
-        is_end, is_sure = moves.ends_in_yes(text), reading.takes >= SURE
+        is_end = moves.ends_in_yes(text)
+        is_sure = reading.takes >= SURE and not moves.is_filler(text)  # "oh dear"
         doubts = ["hesitates"] if is_end else ["no", "hesitates", "but"]
         says_yes = (is_end or is_sure) and not moves.says(text, *doubts)
         return not asks and (says_yes or (is_end and is_sure))
