@@ -82,9 +82,7 @@ class Accepting:
         own = {fold(value): slot for slot, value in proposal.items()}
         told = {own.get(fold(value), slot): value for slot, value in values_of(said.frame).items()}
         free = {s: v for s, v in values_of(reading.frame).items() if s in self._free}
-        told = self._spelling.besides({**free, **told}, record)
-        if takes:  # "Saturday night works for us"
-            told = self._spelling.on_day(told, record)
+        told = self._of_show({**free, **told}, record, takes)
         requests = tuple(slot for slot in said.frame.requests if slot != self._ticket)
         is_meant = self._spelling.is_meant
         told |= {s: own for s, own in proposal.items() if s in told and is_meant(s, told[s], own)}
@@ -149,8 +147,7 @@ class Accepting:
         if beside is not None and is_sure:
             beside = _without_unknown(beside) if takes else beside
             beside = self._hear.of_record(beside, offer, text)  # "today" is tonight's day
-            told = self._spelling.besides(values_of(beside.frame), offer)
-            told = self._spelling.on_day(told, offer) if takes else told
+            told = self._of_show(values_of(beside.frame), offer, takes)
             if self._asks_more(reading, text, offer):
                 return replace(reading, frame=Frame("not_sure")), False
             is_repeated = told.items() <= offer.items() and not beside.unclear
@@ -180,13 +177,20 @@ class Accepting:
             return replace(reading, frame=frame), False
         return replace(reading, frame=Frame("not_sure")), False
 
+    def _of_show(
+        self, values: Mapping[str, str], record: Mapping[str, str], takes: bool
+    ) -> dict[str, str]:
+        """Returns what a reply tells beside a show, of which a yes takes "Saturday night"."""
+        told = self._spelling.besides(values, record)
+        return self._spelling.on_day(told, record) if takes else told
+
     def _takes(self, reading: Understood, text: str, asks: bool) -> bool:
         """Returns whether a text takes what is offered, whatever else it says."""
         is_end = moves.ends_in_yes(text)
         is_sure = reading.takes >= SURE and not moves.is_filler(text)  # "oh dear"
         doubts = ["hesitates"] if is_end else ["no", "hesitates", "but"]
-        says_yes = (is_end or is_sure) and not moves.says(text, *doubts)
-        return not asks and (says_yes or (is_end and is_sure))
+        is_yes = (is_end and is_sure) or not moves.says(text, *doubts)
+        return not asks and (is_end or is_sure) and is_yes
 
     def _asks_more(self, reading: Understood, text: str, offer: Mapping[str, str]) -> bool:
         """Returns whether a text has a condition that is not of an offer's values."""

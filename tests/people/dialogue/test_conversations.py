@@ -64,7 +64,7 @@ def is_heard(answer, slots):
 
 
 def is_told(answer, slot):
-    """Whether an answer tells a value of a slot, or a list of them."""
+    """Returns whether an answer tells a value of a slot, or a list of them."""
     act = answer.answered
     told = {*act.informs, *answer.memory.proposal, *(act.requests if act.choices else ())}
     return slot in told
