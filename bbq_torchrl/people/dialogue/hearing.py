@@ -207,18 +207,26 @@ class Hearing:
         return reading
 
     def refused(
-        self, reading: Understood, held: Mapping[str, str]
+        self, reading: Understood, text: str, held: Mapping[str, str], record: Mapping[str, str]
     ) -> tuple[Understood, list[dict[str, str]]]:
         """Returns a reading without what it denies by name, and that, a value by slot each.
 
         Args:
             reading: the meaning of the text.
+            text: the text, which may deny what is shown without a wish: "no Detroit, please".
             held: the values told before; those that are denied do not hold.
+            record: the values of the record that is proposed or offered, if any.
         """
-        denied, link = [], self._spelling.lexicon.link
+        denied, lexicon = [], self._spelling.lexicon
         for one in reading.unclear:
-            if one.is_denied and (values := link(one.slot, one.text).values):
+            if one.is_denied and (values := lexicon.link(one.slot, one.text).values):
                 denied.append(self._spelling.of({one.slot: values[0]}))
+        said, told = tokenize(text), reading.frame.informs
+        for slot, start, end in lexicon.full_names(said):
+            names = lexicon.link(slot, " ".join(said[start:end])).values
+            shown = {name for name in names if name in (record.get(slot), held.get(slot))}
+            if shown - {told.get(slot)} and is_denied(said, start, end):
+                denied += [{slot: name} for name in shown if {slot: name} not in denied]
         if not denied:
             return reading, []
         frame = reading.frame

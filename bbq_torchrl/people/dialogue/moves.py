@@ -316,7 +316,8 @@ def taken_back(text: str, held: Mapping[str, str], lexicon: Lexicon) -> tuple[st
     for clause in _CLAUSE.split(_words(text)):
         for match in _FIND["any"].finditer(clause):
             if match[0] not in asked:  # "Any good movies?"
-                found += named_slots(_WHERE.split(match["x"])[0], lexicon)
+                free = _FIND["stops"].split(_WHERE.split(match["x"])[0])[0]
+                found += named_slots(free, lexicon)
         for region in _regions(clause):
             found += named_values(region, held, lexicon) or named_slots(region, lexicon)
     return tuple(dict.fromkeys(found))

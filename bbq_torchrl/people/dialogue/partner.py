@@ -265,7 +265,7 @@ class Partner:
             reading = self._narrowed(reading, text, before, turn.record)
         is_about = bool(before.proposal) or before.is_offered or others
         if "drop" in rules and (is_about or values_of(reading.frame)):
-            reading, refused = self._hear.refused(reading, held)
+            reading, refused = self._hear.refused(reading, text, held, turn.record)
             now = replace(now, refused=(*now.refused, *refused))
         spoken = reading.frame
         step = self._to_what_stands(turn, now, reading, others)
@@ -294,6 +294,8 @@ class Partner:
         is_unsure = self._is_unsure(turn, reading)
         if is_unsure and (asked := self._asked(turn, now, reading, understood)):
             return asked
+        if before.proposal and understood == Frame("inform"):  # nothing is told or taken back
+            return _led(self._say(now, self._nlg.say("stands", **turn.words), reading), lead)
         now = replace(now, asking=Asking())
         if understood.act == "closing" or understood == Frame("greeting"):
             # Not the agent's decision: a greeting is returned, a farewell ends the conversation.
@@ -357,6 +359,13 @@ class Partner:
                 return replace(now, proposal={}, taken=is_yes), taken, False, is_booked
             if is_no_more and not others:
                 return self._ways_out.alternative(now, reading, words)
+            asked = {*reading.frame.requests} - {self.domain.ticket_slot}
+            is_plain = not (others or reading.unclear or values_of(reading.frame))
+            if asked and is_plain and asked <= turn.record.keys():  # "I don't know its format"
+                told = Frame("inform", {slot: turn.record[slot] for slot in sorted(asked)})
+                sentence = self._nlg.agent(told, turn.record, **words)
+                answer = self._say(now, self._nlg.say("stands", **words), reading)
+                return _led(replace(answer, answered=told), sentence)
             is_remark = is_denied and not (is_no_more or others)  # "is it at night? 4 isn't late"
             is_remark |= self._hear.is_bare(reading.frame, "thanks", "not_sure")
             if "yes_ends" in rules and is_remark and not (others or reading.unclear):
@@ -452,7 +461,8 @@ class Partner:
             asking = [turn.text]
         told, known = values_of(turn.before.asking.joined(reading.frame)), {**held, **turn.record}
         changed = {s for s, v in told.items() if s not in known or not is_meant(s, v, known[s])}
-        wish = Frame("inform", told | dict.fromkeys(dropped, ANY))
+        free = {slot for slot, value in reading.frame.informs.items() if value == ANY}
+        wish = Frame("inform", told | dict.fromkeys((*free, *dropped), ANY))
         now = replace(now, state=self._told(turn.before.state, wish)[1])
         alternatives = (
             self._ways_out.others(now, reading, text, turn.question, turn.words, changed)

@@ -339,6 +339,8 @@ class Records:
             is_plain = fits & ~(self._is_odd | self._is_vague)  # "tonight" at 8 pm
             fits = is_plain if is_dated and is_plain.any() else fits
         has = fits & self.has[:, list(asked)].all(-1)
+        if not self._minutes.keys().isdisjoint(asked):  # nor does "matinee" say when
+            has &= ~self._is_vague
         fits = has if has.any() else fits
         missing = torch.where(fits, lacks.sum(-1), len(held))
         found = self._values[fits & (missing == missing.min()), slot]

@@ -144,6 +144,10 @@ class WaysOut:
         if len(found) < 2 and not (way or end):  # leave out what the agent chose
             base = torch.where(is_wish, held, NONE)
             found = self._choices(now, base, number, is_other=is_other) or found
+        for stays_so in (records.lasting, records.opening) if not (is_met or way or end) else ():
+            if len(found) < 2:  # what there is at all
+                at_all = torch.where(is_wish & stays_so, full(now.state), NONE)
+                found = self._choices(now, at_all, number, is_other=is_other) or found
         if len(found) > 1 and not (is_time[number] and len(found) > _FEW):
             values = tuple(records.vocabulary[number][value] for value in found)
             return self._several(now, reading, slot, values, words)
@@ -182,6 +186,12 @@ class WaysOut:
             rest = torch.where(self._place & (row != full(now.state)), row, NONE)
             now = replace(now, proposal=self._tracking.values(rest))
         if now.proposal or now.is_offered:
+            shown = self.nearest(now).items()
+            if moves.says(text, "no_first") or any(one.items() <= shown for one in now.refused):
+                now = self.refuse(now)
+                now = replace(now, refused=(*now.refused, *([{slot: own}] if own else [])))
+                if change := records.nearest(full(now.state), self.refused(now)):
+                    return self.propose(now, reading, change, words, lead=sentence)
             sentence += f" {self._nlg.say('stands', **words)}"
         now = replace(now, asking=Asking())
         return Answer(sentence, reading, reading.frame, Frame("not_sure"), now)
@@ -213,10 +223,26 @@ class WaysOut:
         choices: tuple[str, ...],
         words: dict[str, Any],
     ) -> Answer:
-        """Returns the list of some values of a slot."""
-        sentence = self._nlg.say("several", [slot], choices=choices, **words)
+        """Returns the list of some values of a slot, with what else is asked where it is one."""
+        held, index = full(now.state), self._slots.index
+        spoken_of = {*self._tracking.open(now.state), *now.lacking} & self._listed - {slot}
+        asked = [one for one in self._slots if one in spoken_of and held[index(one)] < FIRST_VALUE]
+        beside = []
+        for value in choices[:MAX_CHOICES]:
+            held = held.clone()
+            held[index(slot)] = self._tracking.ids({slot: value})[index(slot)]
+            found = {one: self._choices(now, held, index(one), is_other=False) for one in asked}
+            beside.append(
+                {
+                    one: self._records.vocabulary[index(one)][of[0]]
+                    for one, of in found.items()
+                    if len(of) == 1
+                }
+            )
+        sentence = self._nlg.say("several", [slot], choices=choices, beside=beside, **words)
         answered = Frame("multiple_choice", {}, (slot,), choices)
-        now = replace(now, asking=Asking(slot=slot, choices=choices), proposal={})
+        lacking = tuple(dict.fromkeys((*now.lacking, slot)))  # "what cinema is each of those at?"
+        now = replace(now, asking=Asking(slot=slot, choices=choices), proposal={}, lacking=lacking)
         return Answer(sentence, reading, reading.frame, answered, now)
 
     def _names_another(self, text: str, slot: str, value: str) -> bool:

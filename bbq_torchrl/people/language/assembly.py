@@ -63,7 +63,10 @@ def assemble(
     if (choice := chosen(words, question, lexicon)) is not None:
         others = [span for span in spans if span.slot != asked]  # "The second. We are three."
         informs, unclear = values_of(words, others, lexicon)
-        return Frame("inform", {**informs, question.requests[0]: choice}), unclear, 0.0
+        informs[question.requests[0]] = choice
+        asks = zip(lexicon.domain.slots, reading.requests.tolist(), strict=True)
+        requests = tuple(slot for slot, chance in asks if chance > 0.5 and slot not in informs)
+        return Frame("inform", informs, requests), unclear, 0.0
     end = next((at for at, word in enumerate(words) if _CLAUSE.fullmatch(word)), len(words))
     first = "" if end > _SHORT or words[end : end + 1] == ["?"] else " ".join(words[:end])
     left = untagged(words, reading.tags)
@@ -140,6 +143,7 @@ def _is_no_count(words: Sequence[str], span: Span, lexicon: Lexicon) -> bool:
     said = " ".join(words[span.start : span.end + _MAX_AFTER])
     is_none = _NO_COUNT.search(own) is not None or _NO_COUNT.match(said) is not None
     is_none |= words[span.start - 1] in _UNTIL and span.start > 0  # "in bed by ten"
+    is_none |= _NO_COUNT.match(" ".join(words[max(span.start - 2, 0) : span.end])) is not None
     return lexicon.kinds[span.slot] == "count" and is_none
 
 

@@ -186,6 +186,7 @@ class Generator:
         values: Mapping[str, str] | None = None,
         other: Mapping[str, str] | None = None,
         choices: Sequence[str] = (),
+        beside: Sequence[Mapping[str, str]] = (),
         typed: str = "",
         session: str | int = 0,
         turn: int = 0,
@@ -198,6 +199,7 @@ class Generator:
             values: slot to value, of ``<wishes>``.
             other: slot to value, of ``<other>``.
             choices: values of the first slot, of ``<choices>``.
+            beside: slot to value, for each choice, said with it: "7 pm (at AMC 8)".
             typed: the user's words, of ``<words>``.
             session: determines the words, with ``turn``.
             turn: the number of the turn in the session.
@@ -205,17 +207,25 @@ class Generator:
         rng = chance(session, turn, "agent")
         said = {
             "<name>": [Piece(listed([self._phrases.slots[slot].name for slot in slots], "and"))],
-            "<choices>": [Piece(self._choices(slots, choices))],
+            "<choices>": [Piece(self._choices(slots, choices, beside, rng))],
             "<words>": [Piece(typed)],
             "<wishes>": self._wishes(values or {}, rng),
             "<other>": self._wishes(other or {}, rng),
         }
         return _polished(sentence(self._fill(self._phrases.agent[use], rng, None, said)))
 
-    def _choices(self, slots: Sequence[str], choices: Sequence[str]) -> str:
+    def _choices(
+        self,
+        slots: Sequence[str],
+        choices: Sequence[str],
+        beside: Sequence[Mapping[str, str]],
+        rng: random.Random,
+    ) -> str:
         """Returns the first choices, of the first slot if any, and how many more there are."""
         first = choices[:MAX_CHOICES]
-        written = [self._written(slots[0], value) for value in first] if slots else first
+        written = [self._written(slots[0], value) for value in first] if slots else [*first]
+        for at, own in enumerate(beside[:MAX_CHOICES]):
+            written[at] += f" ({plain(self._wishes(own, rng))})" if own else ""
         more = len(choices) - len(written)
         return listed([*written, f"one of {more} others"] if more > 1 else written, "or")
 

@@ -39,7 +39,7 @@ _TOKEN = re.compile(
     r"|[^\W_]+(?:['’][^\W_]+)*"
     r"|[^\w\s]"
 )
-
+_LONG = re.compile(r"([a-hj-z])\1\1+(?![a-z])")  # "yesss", but "creed iii"
 
 SMALL = word_set("small")
 """Words that carry no information in a name."""
@@ -82,8 +82,11 @@ def tokenize(text: str) -> list[str]:
         ['barbie', 'at', '7:30', 'pm', ',', 'the', '14', 'th', '!']
         >>> tokenize("2 tix 4 fri nite")
         ['2', 'tickets', '4', 'fri', 'night']
+        >>> tokenize("nooo, yesss")
+        ['no', ',', 'yes']
     """
-    return [_SHORT.get(word, word) for word in _TOKEN.findall(normalize(text))]
+    said = _LONG.sub(r"\1", normalize(text))
+    return [_SHORT.get(word, word) for word in _TOKEN.findall(said)]
 
 
 def words_of(text: str) -> list[str]:
