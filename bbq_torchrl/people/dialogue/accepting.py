@@ -82,7 +82,8 @@ class Accepting:
         own = {fold(value): slot for slot, value in proposal.items()}
         told = {own.get(fold(value), slot): value for slot, value in values_of(said.frame).items()}
         free = {s: v for s, v in values_of(reading.frame).items() if s in self._free}
-        told = self._of_show({**free, **told}, record, takes)
+        is_certain = takes and self._is_certain(reading, text)
+        told = self._of_show({**free, **told}, record, takes, is_certain)
         requests = tuple(slot for slot in said.frame.requests if slot != self._ticket)
         is_meant = self._spelling.is_meant
         told |= {s: own for s, own in proposal.items() if s in told and is_meant(s, told[s], own)}
@@ -146,8 +147,16 @@ class Accepting:
         is_sure = takes or not (asks or moves.says(rest or text, "hesitates", "but"))
         if beside is not None and is_sure:
             beside = _without_unknown(beside) if takes else beside
+            is_meant = self._spelling.is_meant
+            unclear = tuple(  # "we'll make a morning of it": the show is in the morning
+                one
+                for one in beside.unclear
+                if not any(is_meant(one.slot, v, offer.get(one.slot, "")) for v in one.candidates)
+            )
+            beside = replace(beside, unclear=unclear)
             beside = self._hear.of_record(beside, offer, text)  # "today" is tonight's day
-            told = self._of_show(values_of(beside.frame), offer, takes)
+            is_certain = takes and self._is_certain(reading, text)
+            told = self._of_show(values_of(beside.frame), offer, takes, is_certain)
             if self._asks_more(reading, text, offer):
                 return replace(reading, frame=Frame("not_sure")), False
             is_repeated = told.items() <= offer.items() and not beside.unclear
@@ -178,11 +187,22 @@ class Accepting:
         return replace(reading, frame=Frame("not_sure")), False
 
     def _of_show(
-        self, values: Mapping[str, str], record: Mapping[str, str], takes: bool
+        self, values: Mapping[str, str], record: Mapping[str, str], takes: bool, is_certain: bool
     ) -> dict[str, str]:
-        """Returns what a reply tells beside a show, of which a yes takes "Saturday night"."""
+        """Returns what a reply tells beside a show, of which a yes takes "Saturday night".
+
+        A certain yes wishes no other detail: "I'll get an aisle seat. Yes, do it".
+        """
         told = self._spelling.besides(values, record)
+        if is_certain:
+            own = self._fixed | self._free
+            told = {s: v for s, v in told.items() if s in own or record.get(s) == v}
         return self._spelling.on_day(told, record) if takes else told
+
+    @staticmethod
+    def _is_certain(reading: Understood, text: str) -> bool:
+        """Returns whether a text is likely a yes, and ends in one."""
+        return reading.takes >= SURE and moves.ends_in_yes(text)
 
     def _takes(self, reading: Understood, text: str, asks: bool) -> bool:
         """Returns whether a text takes what is offered, whatever else it says."""
@@ -194,7 +214,7 @@ class Accepting:
 
     def _asks_more(self, reading: Understood, text: str, offer: Mapping[str, str]) -> bool:
         """Returns whether a text has a condition that is not of an offer's values."""
-        if reading.takes >= SURE and moves.ends_in_yes(text):  # "If I hurry I make it. Yes"
+        if self._is_certain(reading, text):  # "If I hurry I make it. Yes"
             return False
         words, lexicon = moves.given(text), self._spelling.lexicon
         known = [(slot, value) for slot, value in offer.items() if slot in lexicon.slots]

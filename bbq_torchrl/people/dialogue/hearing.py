@@ -86,8 +86,8 @@ class Hearing:
         kinds = self._spelling.lexicon.kinds
         is_short = len(text.split()) <= _SHORT
         informs, unclear = self._spelling.understood(text, values, informed, reading.unclear)
-        if moves.says(text, "now"):  # "what is on right now?"
-            informs = {slot: value for slot, value in informs.items() if value != "now"}
+        # "What is on now?", "I know it now"
+        informs = {s: v for s, v in informs.items() if v != "now" or s in asked}
         # "Any day this week" is the date of a record, and no wish.
         informs = {s: ANY if v.startswith("any ") else v for s, v in informs.items()}
         informs |= self._details_in(text, informs)

@@ -37,12 +37,12 @@ _BEFORE = [_pattern(rf"\b(?:{text})\b(?P<x>.*)") for text in _DATA["before"]]
 _AFTER = [_pattern(rf"(?P<x>.*?)(?: |(?='s))(?:{text})(?!\w)") for text in _DATA["after"]]
 _FIND = {name: _pattern(text) for name, text in _DATA.items() if isinstance(text, str)}
 _CLAUSE = re.compile(r" ?(?:[,.;!?()]|:(?!\d)) ?| (?:but|and then) ")
-_SENTENCE = re.compile(r"[^.;!?]+[.;!?]*")
+_SENTENCE = re.compile(r"[^.;!?]+[.;!? ]*")  # also "yes ! !"
 _NEXT = re.compile(
     r" (?:,(?: and| but| also| so)*|(?:and|but|also)(?: also)?) "
     r"(?=(?:is|are|does|do|will|can|wh\w+(?:'s)?|how)(?!\S)(?! (?:it|that) \?))"
 )
-_PIECE = re.compile(r"[^,.;!?]+[,.;!?]*")
+_PIECE = re.compile(r"[^,.;!?]+[,.;!? ]*")
 _AND = re.compile(rf"(?:{_CLAUSE.pattern})(?:and |also |plus )*| (?:and|n|also|plus|&) ")
 _WHERE = re.compile(r" (?:in|at|on|near) ")
 _GREETING = re.compile(r"^\W*(?:good )?(?:morning|afternoon|evening)\b(?: \w+)?\W*!\W*(?=\w)", re.I)

@@ -303,9 +303,13 @@ class Partner:
             sentence = self._nlg.agent(answered, **turn.words)
             return Answer(sentence, reading, understood, answered, now, ended=ended)
         is_list = turn.question is not None and bool(turn.question.choices)
-        again = self._tracking.open(before.state) if is_list else ()
-        lists = [slot for slot in understood.requests if slot not in again]
+        asked, open_ = understood.requests, self._tracking.open(before.state)
+        lists = [slot for slot in asked if slot not in open_] if is_list else [*asked, *open_]
         answer = self._act(now, reading, understood, turn.words, is_booked=is_booked, lists=lists)
+        is_of_it = values_of(reading.frame).items() <= turn.record.items()
+        if is_of_it and not before.proposal.keys().isdisjoint(answer.answered.requests):
+            # "Elemental would be lovely, but is it in 3D?" neither takes nor leaves it.
+            return _led(self._say(now, self._nlg.say("stands", **turn.words), reading), lead)
         if before.proposal and before.proposal.items() <= understood.informs.items():
             lent = before.proposal.keys() - values_of(spoken)
             state = self._tracking.lent(answer.memory.state, before.state, lent)
@@ -564,7 +568,9 @@ class Partner:
             if not is_denied and self.control.is_stuck(state, self._ways_out.refused(now)):
                 now = replace(now, state=state)
                 return self._ways_out.alternative(now, reading, words, asked, is_refused=False)
-            if not (is_denied or now.proposal or bool(state["offered"])):
+            news = values_of(understood).items()
+            is_left = any(now.proposal.get(slot, value) != value for slot, value in news)
+            if not (is_denied or (now.proposal and not is_left) or bool(state["offered"])):
                 now_told = replace(now, state=state)
                 listed = self._ways_out.listed(now_told, reading, words, lists)
                 if listed is not None:

@@ -59,6 +59,8 @@ class Questions:
         self._special = {*domain.special_slots}
         self._free = {*domain.free_slots} | self._special
         self._spoken_of = {action.slot for action in domain.actions}
+        things = [spelling.lexicon.phrases.slots[slot].name for slot in domain.opening_slots]
+        self._another = f"any other {things[0]} ?" if things else "anything else ?"
 
     def __call__(
         self,
@@ -93,7 +95,8 @@ class Questions:
             # "what time is the first matinee?" is no question about others
             is_others = bool(moves.others(re.sub(rf"\b{name}", "it", sentence)))
             about = subject.sub(r"\1 it", sentence)
-            is_untold = moves.says(sentence, "untold")
+            is_lighter = moves.says(sentence, "lighter")
+            is_untold = is_lighter or moves.says(sentence, "untold")
             is_untold &= bool(record) or not moves.says(sentence, "nearest")
             if moves.says(sentence, "question") and is_untold:
                 found = unknown, {}, True
@@ -105,8 +108,9 @@ class Questions:
                 is_refused = True
                 rest.append(f"not {sentence.rstrip(' ?')} .")
                 continue
+            if found is None or is_lighter:
+                rest.append(self._another if is_lighter else sentence)
             if found is None:
-                rest.append(sentence)
                 continue
             if not any(found[0] in one for one in said):
                 yes = f"{self._nlg.say('yes', **words)} "
