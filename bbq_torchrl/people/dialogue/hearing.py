@@ -16,7 +16,7 @@ from bbq_torchrl.people.language.quantities import about_minutes, minutes_of
 from bbq_torchrl.people.language.words import SMALL, has_bye, is_farewell, is_no, tokenize
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Mapping
+    from collections.abc import Collection, Mapping, Sequence
 
     from bbq_torchrl.people.dialogue.spelling import Spelling
     from bbq_torchrl.people.language import Nlu
@@ -207,7 +207,11 @@ class Hearing:
         return reading
 
     def refused(
-        self, reading: Understood, text: str, held: Mapping[str, str], record: Mapping[str, str]
+        self,
+        reading: Understood,
+        text: str,
+        held: Mapping[str, str],
+        shown: Sequence[Mapping[str, str]],
     ) -> tuple[Understood, list[dict[str, str]]]:
         """Returns a reading without what it denies by name, and that, a value by slot each.
 
@@ -215,7 +219,7 @@ class Hearing:
             reading: the meaning of the text.
             text: the text, which may deny what is shown without a wish: "no Detroit, please".
             held: the values told before; those that are denied do not hold.
-            record: the values of the record that is proposed or offered, if any.
+            shown: the values of the records that were proposed or offered.
         """
         denied, lexicon = [], self._spelling.lexicon
         for one in reading.unclear:
@@ -223,10 +227,10 @@ class Hearing:
                 denied.append(self._spelling.of({one.slot: values[0]}))
         said, told = tokenize(text), reading.frame.informs
         for slot, start, end in lexicon.full_names(said):
-            names = lexicon.link(slot, " ".join(said[start:end])).values
-            shown = {name for name in names if name in (record.get(slot), held.get(slot))}
-            if shown - {told.get(slot)} and is_denied(said, start, end):
-                denied += [{slot: name} for name in shown if {slot: name} not in denied]
+            known = {of[slot] for of in (held, *shown) if slot in of} - {told.get(slot)}
+            known.intersection_update(lexicon.link(slot, " ".join(said[start:end])).values)
+            if is_denied(said, start, end):
+                denied += [{slot: name} for name in known if {slot: name} not in denied]
         if not denied:
             return reading, []
         frame = reading.frame
@@ -235,7 +239,7 @@ class Hearing:
         act = "inform" if free else frame.act if informs or frame.requests else "deny"
         frame = replace(frame, act=act, informs=informs)
         unclear = tuple(one for one in reading.unclear if not one.is_denied)
-        return replace(reading, frame=frame, unclear=unclear), denied
+        return replace(reading, frame=frame, unclear=unclear, confidence=1.0), denied
 
     def dropped(
         self, reading: Understood, text: str, question: Frame | None, held: Mapping[str, str]

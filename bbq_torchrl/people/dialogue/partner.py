@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import product
+from itertools import pairwise, product
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains import tensorize
@@ -20,7 +20,7 @@ from bbq_torchrl.people.dialogue.tracking import Acting, Tracking, full
 from bbq_torchrl.people.dialogue.ways_out import WaysOut
 from bbq_torchrl.people.language import Frame, TextError, Understood
 from bbq_torchrl.people.language.asking import Asking
-from bbq_torchrl.people.language.words import is_no
+from bbq_torchrl.people.language.words import is_no, tokenize
 from bbq_torchrl.simulator import Simulator
 
 if TYPE_CHECKING:
@@ -33,6 +33,8 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.language import EndpointGenerator, Generator, Nlu
 
 
+_BEFORE_NAMES = {"in", "near", "from", "around", "at", "see", "watch", "called", "about"}
+_FEW_WORDS = 4
 _MAX_NAMED = 4
 _MAX_DENIED = 4
 """The number of refused offers after which the agent ends the conversation."""
@@ -178,7 +180,7 @@ class Partner:
                 sure = max(reading.confidence, DOUBTFUL)
                 reading = replace(reading, frame=frame, confidence=sure)
             reading = self._hear.of_record(reading, record, text)
-            reading, lead = self._without_strange(reading, question, words)
+            reading, lead = self._without_strange(reading, text, question, words)
         except TextError as error:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
         if not told.text:
@@ -265,7 +267,7 @@ class Partner:
             reading = self._narrowed(reading, text, before, turn.record)
         is_about = bool(before.proposal) or before.is_offered or others
         if "drop" in rules and (is_about or values_of(reading.frame)):
-            reading, refused = self._hear.refused(reading, text, held, turn.record)
+            reading, refused = self._hear.refused(reading, text, held, (turn.record, *now.shown))
             now = replace(now, refused=(*now.refused, *refused))
         spoken = reading.frame
         step = self._to_what_stands(turn, now, reading, others)
@@ -499,7 +501,7 @@ class Partner:
         return named if is_sure and is_other and not moves.asks_whether_any(rest) else {}
 
     def _without_strange(
-        self, reading: Understood, question: Frame | None, words: dict[str, Any]
+        self, reading: Understood, text: str, question: Frame | None, words: dict[str, Any]
     ) -> tuple[Understood, str]:
         """Returns a reading without details that no record has, and the sentence that says so.
 
@@ -512,7 +514,18 @@ class Partner:
             details |= passing.difference(question.requests)
         unclear = [one for one in reading.unclear if not (one.candidates or one.is_denied)]
         names = [one.text for one in unclear if one.slot in details]
-        left = tuple(one for one in reading.unclear if one.text not in names)
+        says_more = bool(values_of(reading.frame) or reading.frame.requests)
+        asked = question.requests if question else ()
+        left = tuple(
+            one
+            for one in reading.unclear
+            if one.text not in names
+            # "I wanted to avoid it" names no city.
+            if one not in unclear
+            or not says_more
+            or one.slot in asked
+            or _is_placed(one.text, text)
+        )
         sentence = self._nlg.say("not_on_file", choices=names, **words) if names else ""
         return replace(reading, unclear=left), sentence
 
@@ -703,6 +716,14 @@ class Partner:
                 unclear = reading.unclear[0]
                 answered = Frame("multiple_choice", {}, (unclear.slot,), unclear.candidates)
         return Answer(sentence, reading, understood, answered, now)
+
+
+def _is_placed(name: str, text: str) -> bool:
+    """Returns whether a text has a name where names are said: "in Toledo", "two, Toledo"."""
+    words, first = tokenize(text), tokenize(name)[:1]
+    before = [word for word, after in pairwise(["", *words]) if [after] == first]
+    is_placed = any(word in _BEFORE_NAMES or not word.isalpha() for word in before)
+    return is_placed or len(words) <= _FEW_WORDS
 
 
 def _led(answer: Answer, sentence: str) -> Answer:

@@ -259,6 +259,7 @@ class Records:
         cost += _EACH / 4 * (self._contradicts.any(0) & ~self.has).sum(-1)  # nor a time not on file
         cost += _EACH / 8 * self._is_odd + 1e-4 * self._spare
         cost += _EACH / 2 * (lacks & self.minor).sum(-1)
+        cost += _EACH / 2 * (lacks & self.minor & self.has).sum(-1)  # "in 3D" for "in 2D"
         cost += _PLACE * ((far & self._is_place).any(-1) + 1.2 * nowhere.any(-1))
         cost += _PLACE / 2 * (~self.has[:, list(asked)]).sum(-1)
         for number, days in self._days.items():

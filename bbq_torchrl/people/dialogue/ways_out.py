@@ -144,10 +144,11 @@ class WaysOut:
         if len(found) < 2 and not (way or end):  # leave out what the agent chose
             base = torch.where(is_wish, held, NONE)
             found = self._choices(now, base, number, is_other=is_other) or found
-        for stays_so in (records.lasting, records.opening) if not (is_met or way or end) else ():
-            if len(found) < 2:  # what there is at all
-                at_all = torch.where(is_wish & stays_so, full(now.state), NONE)
-                found = self._choices(now, at_all, number, is_other=is_other) or found
+        if len(found) < 2 and not (is_met or way or end):  # what there is at all
+            is_place = slot != self._thing and (records.lasting[number] or slot == self._holder)
+            stays_so = (records.opening if is_place else records.lasting) | self._flags(informs)
+            at_all = torch.where(is_wish & stays_so, full(now.state), NONE)
+            found = self._choices(now, at_all, number, is_other=is_other) or found
         if len(found) > 1 and not (is_time[number] and len(found) > _FEW):
             values = tuple(records.vocabulary[number][value] for value in found)
             return self._several(now, reading, slot, values, words)
@@ -453,6 +454,13 @@ class WaysOut:
             record: the values of the record that is proposed or offered, if any.
         """
         informs, unclear, sure = {**reading.frame.informs}, [], reading.confidence
+        index, determines = self._slots.index, self._records.determines
+        changed = [index(s) for s, value in informs.items() if record.get(s, value) != value]
+        is_tied = (determines | determines.T)[:, changed].any(-1)
+        # "Burbank is in California. Anything in Texas?" wishes no Burbank.
+        informs = {
+            s: v for s, v in informs.items() if not (is_tied[index(s)] and record.get(s) == v)
+        }
         wishes = torch.tensor(self._tracking.ids({**held, **informs}))
         for one in reading.unclear:
             number = self._slots.index(one.slot)
@@ -688,6 +696,12 @@ class WaysOut:
         known = values_of(self._tracking.kept(now.state))
         shown |= {slot: value for slot, value in known.items() if slot in self._own}
         sentence = self._nlg.say(use, values=conflict, other=shown, **words)
+        wished = (now.state.get("wished", held) > 0) & records.lasting & (held >= FIRST_VALUE)
+        if (
+            not (lead or conflict) and (wished & (row != held)).any()
+        ):  # all that is there is refused
+            there = self._tracking.values(torch.where(wished, held, NONE))
+            lead = self._nlg.say("no_other", [self._thing], values=there, **words)
         if not lead and (lost := self._lost(now, held, row, conflict)):
             lead = self._nlg.say("no_promise", values=lost, **words)
         sentence = f"{lead} {sentence}".strip()

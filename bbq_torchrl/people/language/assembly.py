@@ -28,6 +28,9 @@ _PLACES = ("first former 1st 1 one", "second 2nd 2 two", "third 3rd 3", "fourth 
 _ORDER = {word: at for at, words in enumerate(_PLACES) for word in words.split()}
 _ORDER |= {"last": -1, "latter": -1}
 
+_NO_CHOICE = {"", "one", "the", "am", "pm", "past"}
+"""Words that pick none of a list: "past" is no film at a quarter past four."""
+
 _ANY_OF = [re.compile(pattern) for pattern in ENGLISH["any_of"]]
 _CLAUSE = re.compile(r"[^\w' ]")  # a mark that ends a clause
 _MAX_BEFORE, _MAX_AFTER = 8, 6  # words
@@ -175,7 +178,7 @@ def chosen(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | Non
         if "earlier" in words or "earliest" in words:
             return clocks[min(clocks)]
     # Words that one choice has more of than the others: "the downtown one".
-    said = {compact(word) for word in words} - {"", "one", "the", "am", "pm"}
+    said = {compact(word) for word in words} - _NO_CHOICE
     shared = {value: len(said & {*map(compact, value.split())}) for value in choices}
     most = max(shared.values())
     best = [value for value in choices if shared[value] == most]
