@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from typing import TYPE_CHECKING
 
 import torch
@@ -100,3 +100,15 @@ def values_of(of: Frame | Mapping[str, str]) -> dict[str, str]:
     """Returns the values of a frame or of the tracker, without reserved ones."""
     informs = of.informs if isinstance(of, Frame) else of
     return {slot: value for slot, value in informs.items() if value not in RESERVED_TEXT.values()}
+
+
+def say(now: Memory, sentence: str, reading: Understood | None = None) -> Answer:
+    """Returns a sentence that changes nothing in the dialogue."""
+    understood = Frame("not_sure") if reading is None else reading.frame
+    return Answer(sentence, reading, understood, Frame("not_sure"), now)
+
+
+def led(answer: Answer, sentence: str) -> Answer:
+    """Returns an answer that begins with another sentence, if that is not empty or in it."""
+    is_new = bool(sentence) and sentence not in answer.text
+    return replace(answer, text=f"{sentence} {answer.text}") if is_new else answer

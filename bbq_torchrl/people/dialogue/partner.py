@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from itertools import pairwise, product
+from itertools import pairwise
 from typing import TYPE_CHECKING, Any
 
 from bbq_torchrl.domains import tensorize
@@ -12,11 +12,13 @@ from bbq_torchrl.domains.values import fold
 from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.accepting import SURE, Accepting
 from bbq_torchrl.people.dialogue.control import Control
-from bbq_torchrl.people.dialogue.exchange import Answer, Memory, values_of
+from bbq_torchrl.people.dialogue.deciding import MAX_NAMED, Deciding
+from bbq_torchrl.people.dialogue.exchange import Answer, Memory, led, say, values_of
 from bbq_torchrl.people.dialogue.hearing import DOUBTFUL, Hearing
+from bbq_torchrl.people.dialogue.proposals import Proposals
 from bbq_torchrl.people.dialogue.questions import Questions, Told
 from bbq_torchrl.people.dialogue.spelling import Spelling
-from bbq_torchrl.people.dialogue.tracking import Acting, Tracking, full
+from bbq_torchrl.people.dialogue.tracking import Acting, Tracking
 from bbq_torchrl.people.dialogue.ways_out import WaysOut
 from bbq_torchrl.people.language import Frame, TextError, Understood
 from bbq_torchrl.people.language.asking import Asking
@@ -24,10 +26,9 @@ from bbq_torchrl.people.language.words import is_no, tokenize
 from bbq_torchrl.simulator import Simulator
 
 if TYPE_CHECKING:
-    from collections.abc import Iterable, Mapping, Sequence
+    from collections.abc import Iterable, Mapping
 
     import torch
-    from tensordict import TensorDict
 
     from bbq_torchrl.people.dialogue.trained_agent import TrainedAgent
     from bbq_torchrl.people.language import EndpointGenerator, Generator, Nlu
@@ -35,9 +36,6 @@ if TYPE_CHECKING:
 
 _BEFORE_NAMES = {"in", "near", "from", "around", "at", "see", "watch", "called", "about"}
 _FEW_WORDS = 4
-_MAX_NAMED = 4
-_MAX_DENIED = 4
-"""The number of refused offers after which the agent ends the conversation."""
 
 
 @dataclass(frozen=True)
@@ -107,7 +105,6 @@ class Partner:
         self.control = Control(simulator, rules)
         minor = self.control.records.minor & ("names" in self.control.rules)
         self._free = {*self.domain.free_slots}
-        self._fixed = {*self.domain.essential} - self._free
         self._details = {self.domain.slots[n] for n in minor.nonzero().flatten().tolist()}
         self._hear = Hearing(nlu, self._spelling, self.control.rules, self._details)
         self._questions = Questions(self._spelling, self._hear, nlg)
@@ -115,8 +112,28 @@ class Partner:
         self._accepting = Accepting(
             self._spelling, self._hear, self._tracking, self._acting, self.control
         )
-        self._ways_out = WaysOut(
+        self._proposals = Proposals(
             self._spelling, self._tracking, self.control.records, nlg, self._acting.place
+        )
+        self._ways_out = WaysOut(
+            self._spelling,
+            self._tracking,
+            self.control.records,
+            nlg,
+            self._acting.place,
+            self._proposals,
+        )
+        self._deciding = Deciding(
+            self._spelling,
+            self._hear,
+            nlg,
+            self._tracking,
+            self.control,
+            self._acting,
+            self._proposals,
+            self._ways_out,
+            self._details,
+            agent.simulator.max_turn,
         )
 
     def reply(self, memory: Memory | None, text: str, seed: int) -> Answer:
@@ -128,7 +145,7 @@ class Partner:
             seed: the seed of everything random in the answer.
         """
         answer = self._answer(memory or Memory(), text, seed)
-        shown, now = self._ways_out.shown(answer.memory), answer.memory
+        shown, now = self._proposals.shown(answer.memory), answer.memory
         told = answer.answered.informs
         lacks = (s for s in self.domain.essential if told.get(s) == NO_MATCH_TEXT)
         now = replace(now, lacking=tuple(dict.fromkeys((*now.lacking, *lacks))))
@@ -143,7 +160,7 @@ class Partner:
         rules, now = self.control.rules, replace(before, texts=before.texts + 1)
         words: dict[str, Any] = {"session": seed, "turn": now.texts}
         is_about = bool(before.proposal) or before.is_offered
-        near = self._ways_out.nearest(before)
+        near = self._proposals.nearest(before)
         record = near if is_about else {}
         told, untold, whole = Told("", {}, text), "", text
         try:
@@ -154,13 +171,11 @@ class Partner:
                 if rest := moves.after_restart(text):
                     fresh = self._answer(Memory(texts=before.texts), rest, seed)
                     if values_of(fresh.understood):
-                        return _led(fresh, sentence)
+                        return led(fresh, sentence)
                 greeting = self._nlg.agent(Frame("request"), **words)
-                return self._say(Memory(texts=now.texts), f"{sentence} {greeting}")
+                return say(Memory(texts=now.texts), f"{sentence} {greeting}")
             if "help" in rules and (topic := moves.about(text)):
-                return self._say(
-                    now, self._nlg.say(topic, self.domain.essential[:_MAX_NAMED], **words)
-                )
+                return say(now, self._nlg.say(topic, self.domain.essential[:MAX_NAMED], **words))
             if "way_out" in rules and (found := self._back(before, now, text, words)):
                 return found
             if "answers_first" in rules and not moves.takes(text):
@@ -187,7 +202,7 @@ class Partner:
             is_yes = reading.takes >= SURE and "?" not in whole  # "exactly what I hoped for"
             asks = moves.says(whole, "question") and not is_yes
             turn = _Turn(before, record, question, text, words, asks)
-            return _led(_led(self._reply(turn, reading), lead), untold)
+            return led(led(self._reply(turn, reading), lead), untold)
         told = replace(told, text=f"{told.text} {lead}".strip())
         is_only = (
             not told.rest
@@ -198,16 +213,16 @@ class Partner:
         if is_only and "way_out" in rules:
             found = self._ways_out.on_file(now, reading, words, told.values)
             if found is not None:
-                return _led(found, told.text)
+                return led(found, told.text)
         asks = moves.says(told.rest, "question", "others")
         if is_only or not (asks or self._is_news(record, reading.frame, text)):
             stands = self._nlg.say("stands", **words) if is_about else ""
-            answer = self._say(now, stands, reading)
+            answer = say(now, stands, reading)
         else:
             turn = _Turn(before, record, question, told.rest, words, True)
             answer = self._reply(turn, reading)
             if record and not reading.unclear and answer.memory.asking.times > before.asking.times:
-                answer = self._say(now, self._nlg.say("stands", **words), reading)
+                answer = say(now, self._nlg.say("stands", **words), reading)
         informs = {**told.values, **answer.answered.informs}
         is_told = told.text in answer.text or (told.is_guess and self._shows_more(before, answer))
         # What one record lacks, and the other has that is told of beside it.
@@ -229,20 +244,20 @@ class Partner:
         told = {s: v for s, v in values_of(reading.frame).items() if s not in free}
         kinds = self._spelling.lexicon.kinds
         is_strange = any(kinds[one.slot] == "text" for one in reading.unclear)  # "in Anchorage"
-        record = {} if is_strange else self._ways_out.earlier(before, told)
+        record = {} if is_strange else self._proposals.earlier(before, told)
         if not record:
             return None
         reading = self._hear(text, None)
         own = {s: v for s, v in values_of(reading.frame).items() if s in free}
-        now = replace(now, state=self._told(before.state, Frame("inform", own))[1])
-        found = self._ways_out.back(now, reading, record, words)
-        beside = self._questions(self._ways_out.nearest(found.memory), text, words)
-        return _led(found, beside.text)
+        now = replace(now, state=self._deciding.told(before.state, Frame("inform", own))[1])
+        found = self._proposals.back(now, reading, record, words)
+        beside = self._questions(self._proposals.nearest(found.memory), text, words)
+        return led(found, beside.text)
 
     def _shows_more(self, before: Memory, answer: Answer) -> bool:
         """Returns whether an answer offers or lists something else: "is 3:30 possible?"."""
-        shown = self._ways_out.shown(answer.memory)
-        return bool(answer.answered.choices or (shown and shown != self._ways_out.shown(before)))
+        shown = self._proposals.shown(answer.memory)
+        return bool(answer.answered.choices or (shown and shown != self._proposals.shown(before)))
 
     def _is_news(self, record: Mapping[str, str], frame: Frame, text: str) -> bool:
         """Returns whether a text says more of a record than where and when it is.
@@ -283,21 +298,21 @@ class Partner:
             reading = self._hear.without_relative(reading, text, turn.record)
             found = self._others(turn, now, reading, held, dropped)
             if found is not None:
-                beside = self._questions(self._ways_out.nearest(found.memory), text, turn.words)
-                found = _led(_led(found, beside.text), lead)
+                beside = self._questions(self._proposals.nearest(found.memory), text, turn.words)
+                found = led(led(found, beside.text), lead)
                 is_open = found.memory.proposal or found.memory.is_offered or found.answered.choices
                 if is_open or found.text.endswith("?"):
                     return found
                 # There is no other, and nothing stands: the agent goes on.
                 told = Frame("inform", values_of(reading.frame) | dict.fromkeys(dropped, ANY))
-                answer = self._act(now, reading, told, turn.words)
-                return _led(answer, found.text)
+                answer = self._deciding(now, reading, told, turn.words)
+                return led(answer, found.text)
         understood = before.asking.joined(reading.frame)
         is_unsure = self._is_unsure(turn, reading)
         if is_unsure and (asked := self._asked(turn, now, reading, understood)):
             return asked
         if before.proposal and understood == Frame("inform"):  # nothing is told or taken back
-            return _led(self._say(now, self._nlg.say("stands", **turn.words), reading), lead)
+            return led(say(now, self._nlg.say("stands", **turn.words), reading), lead)
         now = replace(now, asking=Asking())
         if understood.act == "closing" or understood == Frame("greeting"):
             # Not the agent's decision: a greeting is returned, a farewell ends the conversation.
@@ -305,23 +320,26 @@ class Partner:
             sentence = self._nlg.agent(answered, **turn.words)
             return Answer(sentence, reading, understood, answered, now, ended=ended)
         is_list = turn.question is not None and bool(turn.question.choices)
-        asked, open_ = understood.requests, self._tracking.open(before.state)
-        lists = [slot for slot in asked if slot not in open_] if is_list else [*asked, *open_]
-        answer = self._act(now, reading, understood, turn.words, is_booked=is_booked, lists=lists)
+        still = self._tracking.open(before.state)
+        news = [slot for slot in understood.requests if slot not in still]
+        lists = news if is_list else [*news, *still]
+        answer = self._deciding(
+            now, reading, understood, turn.words, is_booked=is_booked, lists=lists
+        )
         is_of_it = values_of(reading.frame).items() <= turn.record.items()
         if is_of_it and not before.proposal.keys().isdisjoint(answer.answered.requests):
             # "Elemental would be lovely, but is it in 3D?" neither takes nor leaves it.
-            return _led(self._say(now, self._nlg.say("stands", **turn.words), reading), lead)
+            return led(say(now, self._nlg.say("stands", **turn.words), reading), lead)
         if before.proposal and before.proposal.items() <= understood.informs.items():
             lent = before.proposal.keys() - values_of(spoken)
             state = self._tracking.lent(answer.memory.state, before.state, lent)
             answer = replace(answer, memory=replace(answer.memory, state=state))
-        answer = _led(answer, lead)
+        answer = led(answer, lead)
         absent = self._absent(before, understood, answer)
         if absent:
-            answer = _led(answer, self._nlg.say("no_promise", values=absent, **turn.words))
+            answer = led(answer, self._nlg.say("no_promise", values=absent, **turn.words))
         if (is_unsure or others) and (unsaid := self._unsaid(before, answer)):
-            answer = _led(answer, self._nlg.say("understood", values=unsaid, **turn.words))
+            answer = led(answer, self._nlg.say("understood", values=unsaid, **turn.words))
         proposal, held = answer.memory.proposal, self._tracking.kept(answer.memory.state)
         is_met = all(proposal.get(slot, value) == value for slot, value in held.items())
         is_found = is_met and bool(answer.acted or answer.answered.choices or proposal)
@@ -331,7 +349,7 @@ class Partner:
             is_heard = any(values_of(self._hear(one, None).frame) for one in asking)
             is_unheard = not is_heard and moves.says(asking[0], "detail")  # "is there parking?"
             use = "yes" if is_heard else "unknown_question" if is_unheard else ""
-            answer = _led(answer, self._nlg.say(use, **turn.words) if use else "")
+            answer = led(answer, self._nlg.say(use, **turn.words) if use else "")
         return answer
 
     def _to_what_stands(
@@ -361,30 +379,30 @@ class Partner:
             if takes and found:
                 taken, is_yes = found
                 is_yes &= not moves.others(text)
-                is_booked = is_yes and self._ways_out.is_complete(before, values_of(taken.frame))
+                is_booked = is_yes and self._proposals.is_complete(before, values_of(taken.frame))
                 return replace(now, proposal={}, taken=is_yes), taken, False, is_booked
             if is_no_more and not others:
-                return self._ways_out.alternative(now, reading, words)
+                return self._proposals.alternative(now, reading, words)
             asked = {*reading.frame.requests} - {self.domain.ticket_slot}
             is_plain = not (others or reading.unclear or values_of(reading.frame))
             if asked and is_plain and asked <= turn.record.keys():  # "I don't know its format"
                 told = Frame("inform", {slot: turn.record[slot] for slot in sorted(asked)})
                 sentence = self._nlg.agent(told, turn.record, **words)
-                answer = self._say(now, self._nlg.say("stands", **words), reading)
-                return _led(replace(answer, answered=told), sentence)
+                answer = say(now, self._nlg.say("stands", **words), reading)
+                return led(replace(answer, answered=told), sentence)
             is_remark = is_denied and not (is_no_more or others)  # "is it at night? 4 isn't late"
             is_remark |= self._hear.is_bare(reading.frame, "thanks", "not_sure")
             if "yes_ends" in rules and is_remark and not (others or reading.unclear):
                 # A yes to what is proposed books nothing that was offered before.
-                return self._say(now, self._nlg.say("stands", **words), reading)
+                return say(now, self._nlg.say("stands", **words), reading)
         elif before.is_offered and "yes_ends" in rules and not others:
             reading, is_booked = self._accepting.offered(
                 before, turn.record, reading, text, turn.asks
             )
             if reading.frame.act == "not_sure" and not reading.unclear:
-                answer = self._say(now, self._nlg.say("stands", **words), reading)
+                answer = say(now, self._nlg.say("stands", **words), reading)
                 is_given = moves.says(text, "given")
-                return _led(answer, self._nlg.say("unknown_question", **words) if is_given else "")
+                return led(answer, self._nlg.say("unknown_question", **words) if is_given else "")
         elif before.taken and values_of(reading.frame).keys() <= self._free and not turn.asks:
             is_booked = bool(values_of(reading.frame))  # "How many?" "Three"
         elif "book" in rules and moves.accepts(text) and self._hear.is_bare(reading.frame):
@@ -410,7 +428,7 @@ class Partner:
         is_question = "help" in rules and moves.says(text, "question") and "?" in text
         is_unheard = self._hear.is_bare(reading.frame) or moves.says(text, "detail")
         if is_question and is_unheard and not (reading.unclear or values_of(reading.frame)):
-            return self._say(now, self._nlg.say("unknown_question", **words), reading)
+            return say(now, self._nlg.say("unknown_question", **words), reading)
         if reading.unclear or not values_of(understood) or "confirm" not in rules:
             return self._ask_again(now, reading, self._nlg.clarify(reading, **words))
         return None
@@ -427,7 +445,7 @@ class Partner:
         known, aside = map(self._tracking.aside, (before.state, answer.memory.state))
         if before.proposal:  # which says what its record lacks
             known = self._tracking.kept(before.state)
-        names = " ".join(self._ways_out.nearest(answer.memory).values())
+        names = " ".join(self._proposals.nearest(answer.memory).values())
         return {
             slot: value
             for slot, value in aside.items()
@@ -469,7 +487,7 @@ class Partner:
         changed = {s for s, v in told.items() if s not in known or not is_meant(s, v, known[s])}
         free = {slot for slot, value in reading.frame.informs.items() if value == ANY}
         wish = Frame("inform", told | dict.fromkeys((*free, *dropped), ANY))
-        now = replace(now, state=self._told(turn.before.state, wish)[1])
+        now = replace(now, state=self._deciding.told(turn.before.state, wish)[1])
         alternatives = (
             self._ways_out.others(now, reading, text, turn.question, turn.words, changed)
             for text in asking
@@ -481,7 +499,7 @@ class Partner:
         last = max(found, key=lambda a: (bool(a.memory.proposal), bool(a.answered.choices)))
         leads = [one for one in found if one is not last and not one.memory.proposal]
         texts = [moves.without_question(answer.text) for answer in leads]
-        return _led(last, " ".join(one for one in texts if one not in last.text))
+        return led(last, " ".join(one for one in texts if one not in last.text))
 
     def _narrowed(
         self, reading: Understood, text: str, before: Memory, record: Mapping[str, str]
@@ -546,157 +564,6 @@ class Partner:
             if known.get(slot) != value and fold(value) not in said
         }
 
-    def _act(
-        self,
-        now: Memory,
-        reading: Understood,
-        understood: Frame,
-        words: dict[str, Any],
-        *,
-        is_booked: bool = False,
-        lists: Sequence[str] = (),
-    ) -> Answer:
-        """Returns the policy's answer to an act, or the way out if no record has all wishes.
-
-        Of the slots in ``lists`` it is the list of what is left, if there are several.
-        """
-        before, rules, is_offered = now.state, self.control.rules, now.is_offered
-        is_denied = is_offered and self._hear.is_bare(understood, "deny")
-        told = {**understood.informs}
-        held = self._tracking.kept(before)
-        if not told.items() <= held.items():
-            now = replace(now, times=0)
-        here = self._ways_out.implied(told).items()
-        named = tuple(one for one in now.refused if here.isdisjoint(one.items()))
-        now = replace(now, refused=named)
-        if is_denied:
-            now = replace(self._ways_out.refuse(now), denied=now.denied + 1)
-            if now.denied >= _MAX_DENIED:
-                sentence, answered = self._nlg.say("no_more", **words), Frame("closing")
-                return Answer(sentence, reading, understood, answered, now, ended="agent")
-        asked = [slot for slot in understood.requests if slot != self.domain.ticket_slot]
-        state = None
-        if "way_out" in rules:
-            understood, state = self._heard(before, understood)
-            if not is_denied and self.control.is_stuck(state, self._ways_out.refused(now)):
-                now = replace(now, state=state)
-                return self._ways_out.alternative(now, reading, words, asked, is_refused=False)
-            news = values_of(understood).items()
-            is_left = any(now.proposal.get(slot, value) != value for slot, value in news)
-            if not (is_denied or (now.proposal and not is_left) or bool(state["offered"])):
-                now_told = replace(now, state=state)
-                listed = self._ways_out.listed(now_told, reading, words, lists)
-                if listed is not None:
-                    return replace(listed, understood=understood)
-        reply = self._acting.book if is_booked else self._acting.reply
-        acted = reply(before, understood, words["session"], self._ways_out.refused(now))
-        if state is not None and self._is_elsewhere(state, acted.state):
-            # A record that lacks a wish lent its values to another place.
-            now = replace(now, state=state)
-            found = self._ways_out.alternative(now, reading, words, asked, is_refused=False)
-            return replace(found, understood=understood)
-        is_asked = acted.answered.act == "request"
-        is_asked &= not self._fixed.isdisjoint(acted.answered.requests)
-        is_asked &= len(acted.parts) == 1 or bool(asked)  # not after an earlier question
-        lacks = any(NO_MATCH_TEXT in act.informs.values() for act, _ in acted.parts)
-        if state is not None and is_asked and not (is_denied or now.proposal or lacks):
-            now_told, slot = replace(now, state=state), acted.answered.requests[0]
-            unasked = self._ways_out.unasked(now_told, reading, words, slot, asked)
-            if unasked is not None:
-                return replace(unasked, understood=understood)
-        kinds, known = self._spelling.lexicon.kinds, values_of(self._tracking.kept(acted.state))
-        times = {s: v for s, v in known.items() if kinds.get(s) == "time"}  # no "tonight" at 10 am
-        sentences = [self._nlg.agent(act, {**times, **kept}, **words) for act, kept in acted.parts]
-        if state is not None:
-            told = {s: v for act, _ in acted.parts for s, v in act.informs.items() if s in asked}
-            other = self._ways_out.on_file(replace(now, state=state), reading, words, told)
-            if other is not None:
-                return _led(replace(other, understood=understood), sentences[0])
-        answered, now = acted.answered, replace(now, state=acted.state, proposal={}, times=0)
-        if is_denied and bool(acted.state["offered"]):
-            names = list(values_of(self._tracking.kept(acted.state)))[:_MAX_NAMED]
-            return self._say(now, self._nlg.say("change", names, **words), reading)
-        ended = "agent" if answered.act in ("thanks", "closing") else ""
-        if ended and (is_booked or (is_offered and acted.understood.act == "thanks")):
-            booked = self._tracking.values(acted.state["held"])
-            sentences[:-1] = [self._nlg.say("booked", values=booked, **words)]
-        if not ended and 2 * now.texts >= self.agent.simulator.max_turn:
-            ended = "turns"
-        sentence, left_out = " ".join(sentences), acted.control
-        return Answer(sentence, reading, acted.understood, answered, now, True, ended, left_out)
-
-    def _is_elsewhere(self, before: TensorDict, after: TensorDict) -> bool:
-        """Returns whether an act tells a place that is in none that was told before it."""
-        wishes, told = (values_of(self._tracking.kept(state)) for state in (before, after))
-        news = {slot: value for slot, value in told.items() if slot not in wishes}
-        implied = self._ways_out.implied(news)
-        return any(implied.get(slot, value) != value for slot, value in wishes.items())
-
-    def _told(self, before: TensorDict | None, act: Frame) -> tuple[Frame, TensorDict]:
-        """Returns an act with what it takes back unsaid, and the state after it."""
-        held = self._tracking.kept(before)
-        told = {slot: v for slot, v in values_of(act).items() if slot in self._details}
-        if told and (here := self._ways_out.lasting(told)):  # a zip code is in a city
-            rest = {**held, **act.informs}
-            known = self._ways_out.lasting({s: v for s, v in rest.items() if s not in told})
-            near = {s: v for s, v in here.items() if s in self._fixed and s not in known}
-            act = replace(act, informs={**near, **act.informs})
-        implied = self._ways_out.implied(values_of(act))
-        # A theater of another chain takes back the chain.
-        gone = {
-            slot: ANY
-            for slot, value in held.items()
-            if slot in self._details and slot not in values_of(act)
-            if value != ANY and implied.get(slot, value) != value
-        }
-        gone |= {  # though no record has the chain of that theater
-            slot: ANY
-            for slot, whole in self._spelling.wholes.items()
-            if whole in act.informs and held.get(slot, ANY) != ANY and slot not in act.informs
-            if not act.informs[whole].startswith(f"{held[slot]} ")
-        }
-        act = replace(act, informs={**gone, **act.informs})
-        state = self._acting.hear(before, act)
-        if self.control.is_stuck(state):
-            for others in self._ways_out.otherwise(state, act):
-                freed = replace(act, informs={**act.informs, **others})
-                found = self._acting.hear(before, freed)
-                if others and not self.control.is_stuck(found):
-                    return freed, found
-        return act, state
-
-    def _heard(self, before: TensorDict | None, understood: Frame) -> tuple[Frame, TensorDict]:
-        """Returns an act and the state after it.
-
-        A value that no record has with the others is that of another slot, if a record has all of
-        them then: "tonight" is a date, or a time. A part of the day is else a time in it, and
-        a day a part of it.
-        """
-        lexicon, informs = self._spelling.lexicon, values_of(understood)
-        understood, state = self._told(before, understood)
-        distance = self.control.records.best(full(state))[2]
-        for (slot, value), other in product(informs.items(), lexicon.slots if distance else ()):
-            # Exactly the same name: "7 pm" is not seven people.
-            link = lexicon.link(other, value)
-            if other not in informs and link.is_exact and fold(link.values[0]) == fold(value):
-                rest = {name: told for name, told in understood.informs.items() if name != slot}
-                moved = replace(understood, informs={**rest, **self._spelling.of({other: value})})
-                found = self._acting.hear(before, moved)
-                if not self.control.records.best(full(found))[2]:
-                    return moved, found
-        is_stuck = self.control.is_stuck(state)
-        if is_stuck and (part := self._ways_out.within(state)):
-            timed = replace(understood, informs={**understood.informs, **part})
-            found = self._acting.hear(before, timed)
-            if not self.control.is_stuck(found):
-                return timed, found
-        return understood, state
-
-    def _say(self, now: Memory, sentence: str, reading: Understood | None = None) -> Answer:
-        """Returns a sentence that changes nothing in the dialogue."""
-        understood = Frame("not_sure") if reading is None else reading.frame
-        return Answer(sentence, reading, understood, Frame("not_sure"), now)
-
     def observe(self, memory: Memory | None, understood: Frame) -> torch.Tensor:
         """Returns the observation, float32 ``[F]``, on which the agent answered an act.
 
@@ -724,9 +591,3 @@ def _is_placed(name: str, text: str) -> bool:
     before = [word for word, after in pairwise(["", *words]) if [after] == first]
     is_placed = any(word in _BEFORE_NAMES or not word.isalpha() for word in before)
     return is_placed or len(words) <= _FEW_WORDS
-
-
-def _led(answer: Answer, sentence: str) -> Answer:
-    """Returns an answer that begins with another sentence, if that is not empty or in it."""
-    is_new = bool(sentence) and sentence not in answer.text
-    return replace(answer, text=f"{sentence} {answer.text}") if is_new else answer

@@ -1,0 +1,306 @@
+"""Proposals of records that are near to what a person wishes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from itertools import product
+from math import isnan
+from typing import TYPE_CHECKING, Any
+
+import torch
+
+from bbq_torchrl.domains.frames import ANY
+from bbq_torchrl.domains.values import FIRST_VALUE, NONE
+from bbq_torchrl.people.dialogue.exchange import Answer, values_of
+from bbq_torchrl.people.dialogue.spelling import is_in
+from bbq_torchrl.people.dialogue.tracking import full
+from bbq_torchrl.people.language import Frame
+from bbq_torchrl.people.language.asking import Asking
+from bbq_torchrl.people.language.quantities import about_minutes, is_on, minutes_of
+
+if TYPE_CHECKING:
+    from collections.abc import Collection, Iterator, Mapping, Sequence
+
+    from tensordict import TensorDict
+
+    from bbq_torchrl.people.dialogue.exchange import Memory
+    from bbq_torchrl.people.dialogue.records import Records
+    from bbq_torchrl.people.dialogue.spelling import Spelling
+    from bbq_torchrl.people.dialogue.tracking import Tracking
+    from bbq_torchrl.people.language import EndpointGenerator, Generator, Understood
+
+_MAX_NAMED = 4
+MAX_PROPOSALS = 2
+"""The number of refused proposals, or of times that one is made, before the agent asks what may
+change."""
+
+
+class Proposals:
+    """Proposes records near to the wishes.
+
+    A proposal names where and when the record is, for how many, and what differs from the wishes.
+    Who takes it wishes all of that.
+
+    Args:
+        spelling: the spelling of values.
+        tracking: the agent's knowledge.
+        records: the domain's records.
+        nlg: the nlg.
+        place: bool ``[S]``, the slots that say where and when a record is.
+
+    Attributes:
+        thing: the slot that a dialogue is about.
+        holder: the slot with the most values, as the theater.
+    """
+
+    def __init__(
+        self,
+        spelling: Spelling,
+        tracking: Tracking,
+        records: Records,
+        nlg: Generator | EndpointGenerator,
+        place: torch.Tensor,
+    ) -> None:
+        self._spelling, self._tracking = spelling, tracking
+        self._records, self._nlg, self._place = records, nlg, place
+        domain, kinds = spelling.domain, spelling.lexicon.kinds
+        self._slots = domain.slots
+        self._free = torch.tensor([slot in domain.free_slots for slot in domain.slots])
+        self._own = {*domain.essential} & {*domain.free_slots} - {*domain.special_slots}
+        index, asked = domain.slots.index, {action.slot for action in domain.actions}
+        names = [slot for slot in kinds if slot in asked and kinds[slot] == "text"]
+        self.holder = max(names, key=lambda slot: len(records.vocabulary[index(slot)]))
+        self.thing = next(iter(domain.opening_slots), self.holder)
+
+    def lacking(self, now: Memory) -> list[int]:
+        """Returns the slots that were asked for and are not on file."""
+        return [self._slots.index(slot) for slot in now.lacking]
+
+    def alternative(
+        self,
+        now: Memory,
+        reading: Understood,
+        words: dict[str, Any],
+        requests: Sequence[str] = (),
+        *,
+        is_refused: bool = True,
+    ) -> Answer:
+        """Returns the nearest proposal, or after too many refused ones what may change.
+
+        Args:
+            now: the memory, with the state after the person's act.
+            reading: the meaning of the text.
+            words: what determines the words.
+            requests: the slots asked for; the proposal tells their values.
+            is_refused: whether the proposal that stands is refused.
+        """
+        assert now.state is not None
+        if now.proposal and is_refused:
+            now = replace(now, refused=(*now.refused, now.proposal), proposal={})
+        asked = [self._slots.index(slot) for slot in requests] + self.lacking(now)
+        change = self._records.nearest(full(now.state), self.refused(now), asked=asked)
+        if not (change or is_refused):  # who tells other wishes may mean one refused before
+            now = replace(now, refused=(), times=0)
+            change = self._records.nearest(full(now.state), asked=asked)
+        return self.propose(now, reading, change, words, asked)
+
+    def shown(self, memory: Memory) -> dict[str, str]:
+        """Returns where and when the record is that is proposed or offered, if any."""
+        if not (memory.proposal or memory.is_offered):
+            return {}
+        record, named = self.nearest(memory), (self._place & ~self._free).tolist()
+        return {
+            s: record[s]
+            for s, is_named in zip(self._slots, named, strict=True)
+            if is_named and s in record
+        }
+
+    def earlier(self, memory: Memory, told: Mapping[str, str]) -> Mapping[str, str]:
+        """Returns the latest of the other records shown that has these values, if any."""
+        now = self.shown(memory)
+        others = (one for one in reversed(memory.shown) if one != now)
+        return next((one for one in others if self._fits(one, told)), {})
+
+    def _fits(self, record: Mapping[str, str], told: Mapping[str, str]) -> bool:
+        """Returns whether a record has values, or has them in its own: "the Regal"."""
+        wholes, is_meant = self._spelling.wholes, self._spelling.is_meant
+        named = ((s, value, record.get(wholes.get(s, s), "")) for s, value in told.items())
+        return all(is_in(value, own) or is_meant(slot, value, own) for slot, value, own in named)
+
+    def back(
+        self, now: Memory, reading: Understood, record: Mapping[str, str], words: dict[str, Any]
+    ) -> Answer:
+        """Returns the proposal of a record that was shown before.
+
+        Args:
+            now: the memory, with the state after the person's act.
+            reading: the meaning of the text.
+            record: the record's values.
+            words: what determines the words.
+        """
+        assert now.state is not None
+        ids, held = torch.tensor(self._tracking.ids(record)), full(now.state)
+        now = replace(now, times=0, refused=())
+        held = torch.where(ids != NONE, ids, torch.where(self._free, held, NONE))
+        change = {slot: value for slot, value in enumerate(ids.tolist()) if value != NONE}
+        return self.propose(now, reading, change, words, held=held)
+
+    def refused(self, now: Memory) -> list[list[tuple[int, int]]]:
+        """Returns the refused proposals as pairs of slot and value id."""
+        refused = (self._pairs(one) for one in now.refused)
+        return [pairs for pairs in refused if pairs]
+
+    def nearest(self, memory: Memory) -> dict[str, str]:
+        """Returns the record that is proposed or offered, or else nearest to the wishes, if any.
+
+        What is told that no record has, such as the number of people, is among its values.
+        """
+        if memory.state is None:
+            return {}
+        change, refused = dict(self._pairs(memory.proposal)), self.refused(memory)
+        held = full(memory.state)
+        row = self._records.row(held, change, refused)
+        return self._tracking.values(torch.where(self._free & (held >= FIRST_VALUE), held, row))
+
+    def is_complete(self, memory: Memory, told: Mapping[str, str]) -> bool:
+        """Returns whether nothing is missing to book a proposal, such as for how many.
+
+        Args:
+            memory: the memory with the proposal.
+            told: what the reply to it tells.
+        """
+        known = self._tracking.kept(memory.state)
+        own = {slot: value for slot, value in told.items() if slot in self._own}
+        is_same = all(known.get(slot, value) == value for slot, value in own.items())
+        return is_same and self._own <= {*values_of(known), *own}
+
+    def lasting(self, values: Mapping[str, str]) -> dict[str, str]:
+        """Returns what some values are about and where, as the city of a zip code."""
+        held = torch.tensor(self._tracking.ids(values))
+        return self._tracking.values(self._records.here(held, self._records.lasting))
+
+    def implied(self, values: Mapping[str, str]) -> dict[str, str]:
+        """Returns values with those that they determine, as a theater its city."""
+        ids = torch.tensor(self._tracking.ids(values))
+        here = self._records.here(ids, torch.ones_like(ids, dtype=torch.bool))
+        return {**self._tracking.values(here), **values}
+
+    def otherwise(self, state: TensorDict, understood: Frame) -> Iterator[dict[str, str]]:
+        """Yields what else an act may wish after which no record has all that is held, by slot.
+
+        What is asked for is no wish ("what is on at the other one?"), and what is told takes back
+        what is elsewhere, as a city the theater and a theater the city.
+
+        Args:
+            state: the state after the act.
+            understood: the act.
+        """
+        kept, told = self._tracking.kept(state), values_of(understood)
+        free = {slot: ANY for slot in understood.requests if slot in kept and slot not in told}
+        yield free
+        both = (self._pairs(told), self._pairs({s: kept[s] for s in kept.keys() - told.keys()}))
+        is_tied = self._records.determines | self._records.determines.T
+        yield free | {
+            self._slots[one[0]]: ANY
+            for other, one in product(*both)
+            if is_tied[one[0], other[0]] and not self._records.with_any([[one, other]]).any()
+        }
+
+    def within(self, state: TensorDict) -> dict[str, str]:
+        """Returns the time or day nearest to what is held, in it and of a record with all else."""
+        held = full(state)
+        for number in self._records.parts(held):
+            names = self._records.vocabulary[number]
+            wish, choices = names[held[number]], self._records.choices(held, number)
+            middle = about_minutes(wish)
+            found = [names[value] for value in choices]
+            if not isnan(middle):
+                found.sort(key=lambda one: abs(minutes_of(one) - middle))
+            else:
+                found = [day for day in found if is_on(day, wish)]
+            if found:
+                return {self._slots[number]: found[0]}
+        return {}
+
+    def refuse(self, now: Memory) -> Memory:
+        """Returns the memory after the offered record is refused."""
+        offer = torch.tensor(self._tracking.ids(self.nearest(now)))
+        return replace(now, refused=(*now.refused, self._tracking.values(self._place * offer)))
+
+    def propose(
+        self,
+        now: Memory,
+        reading: Understood,
+        change: Mapping[int, int],
+        words: dict[str, Any],
+        asked: Sequence[int] = (),
+        held: torch.Tensor | None = None,
+        lead: str = "",
+    ) -> Answer:
+        """Returns the proposal of a record, or the question what may change.
+
+        After it was made twice in a row it asks what may change.
+
+        Args:
+            now: the memory, with the state after the person's act.
+            reading: the meaning of the text.
+            change: the value id proposed for each slot that changes; may be empty.
+            words: what determines the words.
+            asked: the slots asked for; the proposal tells their values.
+            held: long ``[S]``, the values that the record should have; ``None`` for all held.
+            lead: the sentence to begin with, as "There is nothing later".
+        """
+        assert now.state is not None
+        state, records = now.state, self._records
+        held = full(state) if held is None else held
+        now = replace(now, asking=Asking())
+        row = records.row(held, change, self.refused(now))
+        ids = torch.where(self._place & (row != held), row, 0)
+        ids[[*change, *asked]] = row[[*change, *asked]]
+        proposal = self._tracking.values(ids)
+        missed = [n for n in records.conflict(held) if not records.minor[n]]
+        conflict = {self._slots[n]: records.vocabulary[n][held[n]] for n in missed}
+        own = self._tracking.values(row)
+        if all(self._spelling.is_meant(s, v, own.get(s, "")) for s, v in conflict.items()):
+            conflict = {}  # but for a detail, which is told beside it
+        asks = bool(values_of(reading.frame) or reading.frame.requests)
+        times = 1 if asks and proposal != now.proposal else now.times + 1
+        if not change or times > MAX_PROPOSALS:
+            told = self._tracking.values(torch.where(held >= FIRST_VALUE, held, self._place * row))
+            names = [*conflict] or [*told][:_MAX_NAMED]
+            sentence = self._nlg.say("nothing", names, **words)
+            now, sentence = replace(now, proposal={}, times=0), f"{lead} {sentence}".strip()
+            return Answer(sentence, reading, reading.frame, Frame("not_sure"), now)
+        use = "another" if not conflict or records.is_same_day(held, change) else "way_out"
+        shown = self._tracking.values(torch.where(self._place, row, ids))
+        known = values_of(self._tracking.kept(now.state))
+        shown |= {slot: value for slot, value in known.items() if slot in self._own}
+        sentence = self._nlg.say(use, values=conflict, other=shown, **words)
+        wished = (state.get("wished", held) > 0) & records.lasting & (held >= FIRST_VALUE)
+        if (
+            not (lead or conflict) and (wished & (row != held)).any()
+        ):  # all that is there is refused
+            there = self._tracking.values(torch.where(wished, held, NONE))
+            lead = self._nlg.say("no_other", [self.thing], values=there, **words)
+        if not lead and (lost := self._lost(now, held, row, conflict)):
+            lead = self._nlg.say("no_promise", values=lost, **words)
+        sentence = f"{lead} {sentence}".strip()
+        now = replace(now, proposal=proposal, times=times)
+        return Answer(sentence, reading, reading.frame, Frame("not_sure", proposal), now)
+
+    def _lost(
+        self, now: Memory, held: torch.Tensor, row: torch.Tensor, conflict: Collection[str]
+    ) -> dict[str, str]:
+        """Returns the details wished that a record does not have, unlike the last one."""
+        lost = self._records.minor & (held >= FIRST_VALUE) & (row != held)
+        has = self.nearest(now) if now.proposal or now.is_offered else None
+        names = " ".join(self._tracking.values(row).values())
+        return {
+            slot: value
+            for slot, value in self._tracking.values(torch.where(lost, held, NONE)).items()
+            if not (slot in conflict or value in names) and (not has or has.get(slot) == value)
+        }
+
+    def _pairs(self, values: Mapping[str, str]) -> list[tuple[int, int]]:
+        """Returns the values that the domain has as pairs of slot and value id."""
+        return [(slot, value) for slot, value in enumerate(self._tracking.ids(values)) if value]
