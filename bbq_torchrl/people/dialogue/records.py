@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections import Counter, defaultdict
-from itertools import combinations, product
+from itertools import combinations
 from typing import TYPE_CHECKING
 
 import torch
 
-from bbq_torchrl.domains import tensorize
 from bbq_torchrl.domains.values import FIRST_VALUE, NONE
+from bbq_torchrl.people.dialogue.completing import dependencies
 from bbq_torchrl.people.language.quantities import (
     about_minutes,
     day_at,
@@ -26,13 +25,8 @@ if TYPE_CHECKING:
 
     from torch import Tensor
 
-    from bbq_torchrl.domains import Domain, DomainTensors
+    from bbq_torchrl.domains import DomainTensors
 
-_EVIDENCE = 8  # values of a slot with several records, each with one value of the determined slot
-_USUAL = 0.8
-"""The share of the values of the opening slot of which all records say the same of a detail, such
-as a movie's genre, from which the records that do not say it have it, too: 29 of 33 movies in the
-shipped domain. The next slot is at .69."""
 _SAMPLE = 100  # values that tell a slot's kind
 _RARE = 1 / 8
 """A slot that goals constrain less often than this share of the most frequent one is minor."""
@@ -42,49 +36,6 @@ _EACH, _PLACE, _OPENING = 100, 1_000, 2_000
 """What each other value costs more, one that another value determines, as a theater its city, and
 one of the opening slot, which a dialogue is about: people accept another time before another place.
 """
-
-
-def completed(domain: Domain) -> tuple[Mapping[str, str], ...]:
-    """Returns the records of a domain with what their other values determine, as a city its state.
-
-    What a value determines may be how its name begins: "Cineplex Odeon Albany 20" is of that chain.
-    What a dialogue is about has what most records say of it, as a movie its genre, if that is
-    nearly always one.
-
-    Args:
-        domain: the domain, with one spelling for each value.
-    """
-    records = [dict(record) for record in domain.records]
-    determines = _dependencies(tensorize(domain))
-    for one, other in determines.nonzero().tolist():
-        name, determined = domain.slots[one], domain.slots[other]
-        known = {r[name]: r[determined] for r in records if name in r and determined in r}
-        begins = sorted({*known.values()}, key=len, reverse=True)
-        for record in records:
-            whole = record.get(name, "")
-            begun = next((value for value in begins if whole.startswith(f"{value} ")), None)
-            if found := known.get(whole, begun):
-                record.setdefault(determined, found)
-    for thing, detail in product(domain.opening_slots, domain.slots):
-        usual = _usual(records, thing, detail) if detail != thing else {}
-        for record in records:
-            if found := usual.get(record.get(thing, "")):
-                record.setdefault(detail, found)
-    return tuple(records)
-
-
-def _usual(records: Sequence[Mapping[str, str]], thing: str, detail: str) -> dict[str, str]:
-    """Returns what most records of a thing say of a detail, if nearly all agree, by its name."""
-    counts: dict[str, Counter[str]] = defaultdict(Counter)
-    for record in records:
-        if thing in record and detail in record:
-            counts[record[thing]][record[detail]] += 1
-    several = [of for of in counts.values() if of.total() > 1]
-    agreeing = sum(len(of) == 1 for of in several)
-    if len(several) < _EVIDENCE or agreeing < _USUAL * len(several):
-        return {}
-    most = {name: of.most_common(1)[0] for name, of in counts.items()}
-    return {n: value for n, (value, count) in most.items() if 2 * count > counts[n].total()}
 
 
 class Records:
@@ -114,7 +65,7 @@ class Records:
         self._constrains = domain.constrains
         wanted = (domain.goal_constraints != NONE).sum(0)
         self.minor = wanted < _RARE * wanted.max()
-        self.determines = _dependencies(domain)
+        self.determines = dependencies(domain)
         kinds = [kind_of(texts[FIRST_VALUE:][:_SAMPLE]) for texts in domain.vocabulary]
         costs = torch.tensor([_EACH + _COSTS[kind] for kind in kinds], dtype=torch.float64)
         self._is_place = self.determines.any(0) & ~self.minor
@@ -402,21 +353,6 @@ class Records:
                 if misses[:, list(some)].any(-1).all():
                     return some
         return ()
-
-
-def _dependencies(domain: DomainTensors) -> Tensor:
-    """Returns bool ``[S, S]``: whether the first slot's value determines the second's."""
-    values, has = domain.records, domain.records != NONE
-    found = torch.zeros(domain.n_slots, domain.n_slots, dtype=torch.bool)
-    for one in (domain.constrains & has.any(0)).nonzero().flatten().tolist():
-        both = has & has[:, one, None]
-        of = values[:, one, None].expand_as(values)
-        table = torch.zeros(int(domain.n_values[one]), domain.n_slots, dtype=torch.long)
-        often = table.scatter_add(0, of, both.long()) > 1
-        highest = table.scatter_reduce(0, of, torch.where(both, values, 0), "amax")
-        is_only = ((values == highest.gather(0, of)) | ~both).all(0)
-        found[one] = is_only & (often.sum(0) >= _EVIDENCE) & domain.constrains
-    return found & ~torch.eye(domain.n_slots, dtype=torch.bool)
 
 
 def _numbered(texts: Sequence[str]) -> Tensor:

@@ -9,7 +9,7 @@ from math import inf
 from typing import TYPE_CHECKING
 
 from bbq_torchrl.domains.values import RESERVED_TEXT, fold
-from bbq_torchrl.people.dialogue.records import completed
+from bbq_torchrl.people.dialogue.completing import completed
 from bbq_torchrl.people.language import Unclear
 from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.quantities import (
