@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 import torch
 
 from bbq_torchrl.domains import tensorize
-from bbq_torchrl.domains.values import NONE
+from bbq_torchrl.domains.values import FIRST_VALUE, NONE
 
 if TYPE_CHECKING:
     from collections.abc import Mapping, Sequence
@@ -36,11 +36,11 @@ def completed(domain: Domain) -> tuple[Mapping[str, str], ...]:
         domain: the domain, with one spelling for each value.
     """
     records = [dict(record) for record in domain.records]
-    determines = dependencies(tensorize(domain))
-    for one, other in determines.nonzero().tolist():
+    tensors = tensorize(domain)
+    for one, other in dependencies(tensors).nonzero().tolist():
         name, determined = domain.slots[one], domain.slots[other]
         known = {r[name]: r[determined] for r in records if name in r and determined in r}
-        begins = sorted({*known.values()}, key=len, reverse=True)
+        begins = sorted(tensors.vocabulary[other][FIRST_VALUE:], key=len, reverse=True)
         for record in records:
             whole = record.get(name, "")
             begun = next((value for value in begins if whole.startswith(f"{value} ")), None)

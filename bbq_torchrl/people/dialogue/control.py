@@ -106,6 +106,8 @@ class Control:
         held = torch.where((aside != NONE) & ~tells, aside, held)
         if "take_back" in self.rules:
             wished = state.get("wished", torch.zeros_like(held)) + tells
+            # Who does not care which movie does not wish the one that the agent picks.
+            wished = torch.where(state["user_informs"] == DONT_CARE, 0, wished)
             own = wished == 0
             held = torch.where(own & (held == NO_MATCH), NONE, held)
             wishes = torch.where(own, NONE, held)
@@ -113,7 +115,7 @@ class Control:
             misses = self._open(state) & (self.records.having(held) == 0)
             is_found_without = self.records.having(wishes) > 0
             is_stuck = (is_nearer & tells.any(-1)) | (misses & is_found_without).any(-1)
-            dropped = own & (held != NONE) & is_stuck[..., None]
+            dropped = own & (held != NONE) & (held != DONT_CARE) & is_stuck[..., None]
             held = torch.where(dropped, NONE, held)
             state = state.replace(
                 heard_requests=state["heard_requests"] | dropped,

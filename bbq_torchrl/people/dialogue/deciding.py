@@ -63,7 +63,7 @@ class Deciding:
         self._spelling, self._hear, self._nlg = spelling, hear, nlg
         self._tracking, self._control, self._acting = tracking, control, acting
         self._proposals, self._ways_out = proposals, ways_out
-        self._details, self._max_turn = details, max_turn
+        self._details, self._max_turn = {*details}, max_turn
         domain = spelling.domain
         self._ticket = domain.ticket_slot
         self._fixed = {*domain.essential} - {*domain.free_slots}
@@ -152,7 +152,8 @@ class Deciding:
         wishes, told = (values_of(self._tracking.kept(state)) for state in (before, after))
         news = {slot: value for slot, value in told.items() if slot not in wishes}
         implied = self._proposals.implied(news)
-        return any(implied.get(slot, value) != value for slot, value in wishes.items())
+        placed = wishes.keys() - self._details
+        return any(implied.get(slot, wishes[slot]) != wishes[slot] for slot in placed)
 
     def told(self, before: TensorDict | None, act: Frame) -> tuple[Frame, TensorDict]:
         """Returns an act with what it takes back unsaid, and the state after it."""

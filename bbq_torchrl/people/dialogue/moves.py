@@ -317,7 +317,8 @@ def taken_back(text: str, held: Mapping[str, str], lexicon: Lexicon) -> tuple[st
         for match in _FIND["any"].finditer(clause):
             if match[0] not in asked:  # "Any good movies?"
                 free = _FIND["stops"].split(_WHERE.split(match["x"])[0])[0]
-                found += named_slots(free, lexicon)
+                if not lexicon.full_names(free.split()[:2]):  # "any 3D films"
+                    found += named_slots(free, lexicon)
         for region in _regions(clause):
             found += named_values(region, held, lexicon) or named_slots(region, lexicon)
     return tuple(dict.fromkeys(found))

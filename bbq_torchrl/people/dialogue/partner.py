@@ -274,7 +274,9 @@ class Partner:
         now = replace(before, texts=before.texts + 1, taken=False)
         reading = self._hear.leaving(reading, text, before.is_offered)
         is_moved = moves.direction(text) or moves.says(text, "question")
-        is_wish = bool(values_of(reading.frame)) and not is_moved
+        picks = turn.question is not None and turn.question.choices
+        is_picked = picks and not {*picks}.isdisjoint(reading.frame.informs.values())
+        is_wish = bool(values_of(reading.frame)) and (is_picked or not is_moved)
         others = "way_out" in rules and bool(moves.others(text)) and not is_wish
         others &= not self._is_detail(moves.others(text), reading)
         held = self._tracking.kept(before.state)

@@ -338,10 +338,12 @@ class WaysOut:
         differs, lacks = self._records.compare(held)
         count = int((~(differs | lacks).any(-1)).sum())
         is_rare = bool(details.any()) and 0 < count <= _FEW
-        row = self._records.row(held, {})
+        refused = self._proposals.refused(now)
+        row = self._records.row(held, {}, refused)
+        is_new = not any(all(int(row[n]) == value for n, value in one) for one in refused)
         is_known = slot == self._thing or held[self._slots.index(self._thing)] >= FIRST_VALUE
         is_open = self._place & (held < FIRST_VALUE) & (row != NONE)
-        if not now.refused and is_open.any() and (is_rare or (is_known and len(choices) == 1)):
+        if is_new and is_open.any() and (is_rare or (is_known and len(choices) == 1)):
             told = (is_open | details).nonzero().flatten().tolist()
             asked = [self._slots.index(one) for one in requests]
             return self._proposals.propose(

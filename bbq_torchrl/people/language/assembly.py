@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterator, Sequence
+from itertools import pairwise
 
 import torch
 
@@ -16,6 +17,7 @@ from bbq_torchrl.people.language.quantities import sure_kind
 from bbq_torchrl.people.language.words import (
     ENGLISH,
     POLITE,
+    SMALL,
     Span,
     compact,
     spans_of,
@@ -23,6 +25,7 @@ from bbq_torchrl.people.language.words import (
 )
 
 _SHORT = 4  # words of an answer that may be just a name
+_FEW = 8  # words of a text that picks one by a word of it
 
 _PLACES = ("first former 1st 1 one", "second 2nd 2 two", "third 3rd 3", "fourth 4")
 _ORDER = {word: at for at, words in enumerate(_PLACES) for word in words.split()}
@@ -171,18 +174,21 @@ def chosen(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | Non
         return None
     slot, choices = question.requests[0], question.choices
     clocks = {lexicon.key(slot, value)[-5:]: value for value in choices}
+    ends = {after for word, after in pairwise(words) if word in ("the", "that")}
     # Only keys such as "at 19:30" and "after 18:00" can be ordered.
     if lexicon.kinds.get(slot) == "time" and all(clock[2:3] == ":" for clock in clocks):
-        if "later" in words or "latest" in words:
+        if ends & {"later", "latest"}:  # not "anything later?"
             return clocks[max(clocks)]
-        if "earlier" in words or "earliest" in words:
+        if ends & {"earlier", "earliest"}:
             return clocks[min(clocks)]
     # Words that one choice has more of than the others: "the downtown one".
-    said = {compact(word) for word in words} - _NO_CHOICE
+    said = {compact(word) for word in words if word not in SMALL} - _NO_CHOICE
     shared = {value: len(said & {*map(compact, value.split())}) for value in choices}
     most = max(shared.values())
     best = [value for value in choices if shared[value] == most]
-    if most and len(best) == 1:
+    # In a longer text one word is not enough: "I wanted the ones you left out".
+    is_named = most > 1 or len(words) <= _FEW or 2 * most >= len(best[0].split())
+    if most and len(best) == 1 and is_named:
         return best[0]
     for word in words:
         at = _ORDER.get(word)

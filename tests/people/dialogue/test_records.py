@@ -51,7 +51,7 @@ def test_a_record_of_a_known_place_is_in_no_other_state(spelling):
 
 
 def test_a_chain_that_begins_the_name_of_a_theater_is_its_chain(movie, spelling):
-    chains = {record["theater_chain"] for record in movie.records if "theater_chain" in record}
+    chains = spelling.lexicon.values("theater_chain")  # also of chains that no record names
     begun = 0
     for own, record in zip(movie.records, spelling.domain.records, strict=True):
         fit = [one for one in chains if record.get("theater", "").startswith(f"{one} ")]
