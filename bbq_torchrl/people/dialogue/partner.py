@@ -204,6 +204,12 @@ class Partner:
             turn = _Turn(before, record, question, text, words, asks)
             return led(led(self._reply(turn, reading), lead), untold)
         told = replace(told, text=f"{told.text} {lead}".strip())
+        wanted = question.requests if question is not None and not is_about else ()
+        answers = {s: v for s, v in values_of(reading.frame).items() if s in wanted}
+        if answers and not told.rest:  # "ooh Avatar, how long is that one?"
+            sure = max(reading.confidence, DOUBTFUL)
+            reading = replace(reading, frame=Frame("inform", answers), confidence=sure)
+            told = replace(told, rest=" ".join(answers.values()))
         is_only = (
             not told.rest
             or (moves.is_filler(told.rest) and not reading.frame.informs)
@@ -314,7 +320,7 @@ class Partner:
         if is_unsure and (asked := self._asked(turn, now, reading, understood)):
             return asked
         if before.proposal and understood == Frame("inform"):  # nothing is told or taken back
-            return led(say(now, self._nlg.say("stands", **turn.words), reading), lead)
+            return led(self._stands(turn, now, reading), lead)
         now = replace(now, asking=Asking())
         if understood.act == "closing" or understood == Frame("greeting"):
             # Not the agent's decision: a greeting is returned, a farewell ends the conversation.
@@ -331,7 +337,7 @@ class Partner:
         is_of_it = values_of(reading.frame).items() <= turn.record.items()
         if is_of_it and not before.proposal.keys().isdisjoint(answer.answered.requests):
             # "Elemental would be lovely, but is it in 3D?" neither takes nor leaves it.
-            return led(say(now, self._nlg.say("stands", **turn.words), reading), lead)
+            return led(self._stands(turn, now, reading), lead)
         if before.proposal and before.proposal.items() <= understood.informs.items():
             lent = before.proposal.keys() - values_of(spoken)
             state = self._tracking.lent(answer.memory.state, before.state, lent)
@@ -396,20 +402,24 @@ class Partner:
             is_remark |= self._hear.is_bare(reading.frame, "thanks", "not_sure")
             if "yes_ends" in rules and is_remark and not (others or reading.unclear):
                 # A yes to what is proposed books nothing that was offered before.
-                return say(now, self._nlg.say("stands", **words), reading)
+                return self._stands(turn, now, reading)
         elif before.is_offered and "yes_ends" in rules and not others:
             reading, is_booked = self._accepting.offered(
                 before, turn.record, reading, text, turn.asks
             )
             if reading.frame.act == "not_sure" and not reading.unclear:
-                answer = say(now, self._nlg.say("stands", **words), reading)
-                is_given = moves.says(text, "given")
-                return led(answer, self._nlg.say("unknown_question", **words) if is_given else "")
+                return self._stands(turn, now, reading)
         elif before.taken and values_of(reading.frame).keys() <= self._free and not turn.asks:
             is_booked = bool(values_of(reading.frame))  # "How many?" "Three"
         elif "book" in rules and moves.accepts(text) and self._hear.is_bare(reading.frame):
             reading = replace(reading, confidence=1.0)
         return now, reading, others, is_booked
+
+    def _stands(self, turn: _Turn, now: Memory, reading: Understood) -> Answer:
+        """Returns that an offer stands, after owning up to what else the text asks."""
+        asks = moves.says(turn.text, "question", "given")
+        lead = self._nlg.say("unknown_question", **turn.words) if asks else ""
+        return led(say(now, self._nlg.say("stands", **turn.words), reading), lead)
 
     def _is_unsure(self, turn: _Turn, reading: Understood) -> bool:
         """Returns whether a reading is too poor to act on.

@@ -16,7 +16,7 @@ from bbq_torchrl.people.dialogue.spelling import is_in
 from bbq_torchrl.people.dialogue.tracking import full
 from bbq_torchrl.people.language import Frame
 from bbq_torchrl.people.language.asking import Asking
-from bbq_torchrl.people.language.quantities import about_minutes, is_on, minutes_of
+from bbq_torchrl.people.language.quantities import about_minutes, day_at, is_on, minutes_of
 
 if TYPE_CHECKING:
     from collections.abc import Collection, Iterator, Mapping, Sequence
@@ -117,9 +117,18 @@ class Proposals:
 
     def earlier(self, memory: Memory, told: Mapping[str, str]) -> Mapping[str, str]:
         """Returns the latest of the other records shown that has these values, if any."""
-        now = self.shown(memory)
-        others = (one for one in reversed(memory.shown) if one != now)
-        return next((one for one in others if self._fits(one, told)), {})
+        now, ids = self.shown(memory), self._tracking.ids
+        others = [one for one in reversed(memory.shown) if one != now]
+        rows = [self._records.row(torch.tensor(ids(one)), {}) for one in others]
+        wholes = [
+            {**self._tracking.values(row), **one} for row, one in zip(rows, others, strict=True)
+        ]
+        placed = {slot: value for slot, value in told.items() if any(slot in one for one in others)}
+        for wanted in (told, placed) if placed else (told,):
+            for one, whole in zip(others, wholes, strict=True):
+                if self._fits(whole, wanted):
+                    return one
+        return {}
 
     def _fits(self, record: Mapping[str, str], told: Mapping[str, str]) -> bool:
         """Returns whether a record has values, or has them in its own: "the Regal"."""
@@ -263,6 +272,8 @@ class Proposals:
         own = self._tracking.values(row)
         if all(self._spelling.is_meant(s, v, own.get(s, "")) for s, v in conflict.items()):
             conflict = {}  # but for a detail, which is told beside it
+        odd = self._odd(self._tracking.values(held), own)
+        conflict |= odd
         asks = bool(values_of(reading.frame) or reading.frame.requests)
         times = 1 if asks and proposal != now.proposal else now.times + 1
         if not change or times > MAX_PROPOSALS:
@@ -271,7 +282,8 @@ class Proposals:
             sentence = self._nlg.say("nothing", names, **words)
             now, sentence = replace(now, proposal={}, times=0), f"{lead} {sentence}".strip()
             return Answer(sentence, reading, reading.frame, Frame("not_sure"), now)
-        use = "another" if not conflict or records.is_same_day(held, change) else "way_out"
+        is_near = not conflict or (records.is_same_day(held, change) and not odd)
+        use = "another" if is_near else "way_out"
         shown = self._tracking.values(torch.where(self._place, row, ids))
         known = values_of(self._tracking.kept(now.state))
         shown |= {slot: value for slot, value in known.items() if slot in self._own}
@@ -287,6 +299,13 @@ class Proposals:
         sentence = f"{lead} {sentence}".strip()
         now = replace(now, proposal=proposal, times=times)
         return Answer(sentence, reading, reading.frame, Frame("not_sure", proposal), now)
+
+    def _odd(self, wishes: Mapping[str, str], record: Mapping[str, str]) -> dict[str, str]:
+        """Returns the days wished in whose part a record's time is not: "tonight" at 10:05 am."""
+        kinds = self._spelling.lexicon.kinds
+        times = [value for slot, value in record.items() if kinds.get(slot) == "time"]
+        days = {slot: value for slot, value in wishes.items() if kinds.get(slot) == "date"}
+        return {s: v for s, v in days.items() if any(day_at(v, time) != v for time in times)}
 
     def _lost(
         self, now: Memory, held: torch.Tensor, row: torch.Tensor, conflict: Collection[str]

@@ -30,6 +30,7 @@ _FEW = 8  # words of a text that picks one by a word of it
 _PLACES = ("first former 1st 1 one", "second 2nd 2 two", "third 3rd 3", "fourth 4")
 _ORDER = {word: at for at, words in enumerate(_PLACES) for word in words.split()}
 _ORDER |= {"last": -1, "latter": -1}
+_NTH = re.compile(r"\b([1-4]) (?:st|nd|rd|th)(?= one\b)")  # "the 1st one" is no first of June
 
 _NO_CHOICE = {"", "one", "the", "am", "pm", "past"}
 """Words that pick none of a list: "past" is no film at a quarter past four."""
@@ -76,7 +77,9 @@ def assemble(
     end = next((at for at, word in enumerate(words) if _CLAUSE.fullmatch(word)), len(words))
     first = "" if end > _SHORT or words[end : end + 1] == ["?"] else " ".join(words[:end])
     left = untagged(words, reading.tags)
-    is_own = end == len(words) or ("?" in words[end:] and asked not in [s.slot for s in spans])
+    is_own = end == len(words) or (
+        not {*words[end:]}.isdisjoint(".?") and asked not in [s.slot for s in spans]
+    )
     if asked in lexicon.slots and is_own and lexicon.link(asked, first).is_exact:
         # "LA" is the city or the state asked for; so is that of "LA. What is on there?".
         spans = [Span(asked, 0, end), *(span for span in spans if span.start >= end)]
@@ -173,6 +176,7 @@ def chosen(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | Non
     if not question.choices:
         return None
     slot, choices = question.requests[0], question.choices
+    words = _NTH.sub(lambda found: _PLACES[int(found[1]) - 1].split()[0], " ".join(words)).split()
     clocks = {lexicon.key(slot, value)[-5:]: value for value in choices}
     ends = {after for word, after in pairwise(words) if word in ("the", "that")}
     # Only keys such as "at 19:30" and "after 18:00" can be ordered.

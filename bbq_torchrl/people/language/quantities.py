@@ -47,13 +47,15 @@ PARTY = re.compile(rf"(?<!\S){_MEMBER}(?: (?:(?:{_JOIN}) )*{_MEMBER})+(?!\S)")
 
 _COMPANION = (
     rf"(?:(?:my|an?|the) (?:{'|'.join(sorted(_COMPANIONS))})"
-    rf"|(?:(?:my|our|the) )?{NUMBER} (?:{'|'.join(sorted(_COMPANIES))}))"
+    rf"|(?:(?:my|our|the) )?{NUMBER} (?:little ones|{'|'.join(sorted(_COMPANIES))}))"
 )
+_ME = "(?:i|me|myself)"
 _SURE: dict[Kind, re.Pattern[str]] = {
     "count": re.compile(
         rf"{NUMBER} (?:of us|seats?)|(?:an? )?(?:{'|'.join(ENGLISH['groups'].split())}) of {NUMBER}"
         rf"|with (?:(?:my|our) )?{NUMBER} (?:{'|'.join(sorted(_COMPANIES))})"
-        rf"|{_COMPANION} (?:and|n|&) (?:i|me)|(?:me|i) (?:and|n|&) {_COMPANION}|{PARTY.pattern}"
+        rf"|{_COMPANION} (?:and|n|&) {_ME}|{_ME} (?:and|n|&) (?:{_COMPANION}|her|him)"
+        rf"|{NUMBER} couples|{PARTY.pattern}"
         rf"|(?:i am|i'm|im) alone|(?:going|coming) (?:alone|solo)|(?:by|for) myself"
         rf"|(?:we are|we're) {_MEMBER}"
     ),
@@ -107,13 +109,18 @@ def _people(words: list[str]) -> int:
         return sum(members) + (not said.isdisjoint(("me", "i", "myself")))
     if others or len(numbers) > 1:
         return 0
+    is_company = bool(_COMPANIES & said) or {"little", "ones"} <= said
     if "dozen" in said:
         return 6 if "half" in said else 12 * sum(numbers or [1])
     if numbers:
         is_plus = has_me and not said.isdisjoint(("+", "plus"))
-        is_plus |= bool(_COMPANIES & said) and (has_me or "with" in said) and "us" not in said
-        return numbers[0] + is_plus * (1 + sum(word in _COMPANIONS for word in words))
+        is_plus |= is_company and (has_me or "with" in said) and "us" not in said
+        return numbers[0] * (1 + ("couples" in said)) + is_plus * (
+            1 + sum(word in _COMPANIONS for word in words)
+        )
     if not said.isdisjoint(("couple", "pair", "both")):
+        return 2 + (is_company and has_me)  # "a couple of friends and me"
+    if said <= {"just", "me", "i", "and", "n", "her", "him"} and said & {"her", "him"} and has_me:
         return 2
     companions = sum((word in _COMPANIONS) + 2 * (word in _PAIRS) for word in words)
     if companions and (has_me or "with" in said or words[0] == "a"):
