@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.dialogue.tracking import Acting, Tracking
 
 
-SURE = 0.9
+SURE = 0.95
 """The probability from which a text without words that doubt is a yes."""
 
 
@@ -210,7 +210,8 @@ class Accepting:
         is_sure = reading.takes >= SURE and not moves.is_filler(text)  # "oh dear"
         doubts = ["hesitates"] if is_end else ["no", "hesitates", "but"]
         is_yes = (is_end and is_sure) or not moves.says(text, *doubts)
-        return not asks and (is_end or is_sure) and is_yes
+        asked = {*reading.frame.requests} - {self._ticket}  # "the only one is when I'm at work"
+        return not asks and (is_end or (is_sure and not asked)) and is_yes
 
     def _asks_more(self, reading: Understood, text: str, offer: Mapping[str, str]) -> bool:
         """Returns whether a text has a condition that is not of an offer's values."""
