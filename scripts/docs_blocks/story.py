@@ -28,8 +28,10 @@ SEARCHED_LONG = [
 ]
 """BBQN and DQN-Boltzmann, both searched in Table 1's setting, in each environment."""
 
-SEARCHED_DQN = ("searched/table1/full/bbqn_map_soft", "searched/table1/full/dqn")
-"""BBQN and DQN, both searched in Table 1's setting."""
+SEARCHED_DQN = [
+    (f"searched/{folder}/bbqn_map_soft", f"searched/{folder}/dqn") for folder in TABLE1.values()
+]
+"""BBQN and DQN, likewise."""
 
 BY_ENV = "{} in the full domain, {} in domain extension"
 
@@ -134,7 +136,7 @@ def _story() -> str:
             + "; BBQN-MAP minus DQN-Boltzmann with [searched settings]"
             f"(learning_starts.md#search-settings): {level} in the full domain, both "
             f"searched: {BY_ENV.format(*_of_each(SEARCHED_LONG, 'final'))}, minus DQN, both "
-            f"searched: {_of_folders(*SEARCHED_DQN, 'final')} in the full domain",
+            f"searched: {BY_ENV.format(*_of_each(SEARCHED_DQN, 'final'))}",
             _verdict(*final, level),
         ),
         (
