@@ -140,7 +140,12 @@ def ends_in_yes(text: str) -> bool:
 
 def takes(text: str) -> bool:
     """Returns whether a text accepts, or ends in a yes and asks nothing."""
-    return accepts(text) or (ends_in_yes(text) and "?" not in text)
+    return accepts(text) or (ends_in_yes(text) and "?" not in without_yes(text))
+
+
+def without_yes(text: str) -> str:
+    """Returns the sentences of a text that are more than a yes: none of "yeah? I said yes"."""
+    return " ".join(one for one in sentences(text) if not accepts(one.strip(" ?")))
 
 
 def _is_yes(words: str) -> bool:

@@ -200,7 +200,7 @@ class Partner:
             return self._ask_again(now, None, f"Sorry, I cannot read that: {error}.")
         if not told.text:
             is_yes = reading.takes >= SURE and "?" not in whole  # "exactly what I hoped for"
-            asks = moves.says(whole, "question") and not is_yes
+            asks = moves.says(moves.without_yes(whole), "question") and not is_yes
             turn = _Turn(before, record, question, text, words, asks)
             return led(led(self._reply(turn, reading), lead), untold)
         told = replace(told, text=f"{told.text} {lead}".strip())

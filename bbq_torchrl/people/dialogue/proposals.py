@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.language import EndpointGenerator, Generator, Understood
 
 _MAX_NAMED = 4
+_NEARLY = 10  # minutes
 MAX_PROPOSALS = 2
 """The number of refused proposals, or of times that one is made, before the agent asks what may
 change."""
@@ -272,6 +273,10 @@ class Proposals:
         own = self._tracking.values(row)
         if all(self._spelling.is_meant(s, v, own.get(s, "")) for s, v in conflict.items()):
             conflict = {}  # but for a detail, which is told beside it
+        kinds = self._spelling.lexicon.kinds
+        hours = [(v, own.get(s, "")) for s, v in conflict.items() if kinds.get(s) == "time"]
+        if any(abs(minutes_of(wish) - minutes_of(time)) <= _NEARLY for wish, time in hours):
+            conflict = {}  # 2:25 is about half past two
         odd = self._odd(self._tracking.values(held), own)
         conflict |= odd
         asks = bool(values_of(reading.frame) or reading.frame.requests)

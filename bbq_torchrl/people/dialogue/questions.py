@@ -146,6 +146,8 @@ class Questions:
         meant = {slot: v for slot, v in meant.items() if v[0] not in RESERVED_TEXT.values()}
         if is_whether and not meant:
             meant = self._named_in_part(record, sentence)
+        if is_whether and meant and self._is_subject(sentence, meant):
+            return self._nlg.say("unknown_question", **words), {}, True
         has = {slot: self._having(record, slot, values) for slot, values in meant.items()}
         is_other = moves.says(sentence, "also") or self._is_of(sentence, meant)
         if is_other and not all(has.values()):
@@ -180,9 +182,10 @@ class Questions:
         As in "is it rated great?", "is it at the grove?".
         """
         said = tokenize(sentence)
-        full = self._spelling.lexicon.full_names(said)
-        if full:
-            return {slot: [" ".join(said[start:end])] for slot, start, end in full}
+        spans = self._spelling.lexicon.full_names(said)
+        own = self._free - record.keys()
+        if full := {s: [" ".join(said[at:end])] for s, at, end in spans if s not in own}:
+            return full
         parts = [f" {one} {other} " for one, other in pairwise(said) if other not in SMALL]
         parts += [f" {one} " for one in said if one in record.values()]
         known = product(record.keys() - self._free, parts)
@@ -253,6 +256,13 @@ class Questions:
         """Returns the unclear names that may mean something, or all of a sure reading."""
         is_sure = reading.confidence >= DOUBTFUL
         return [one for one in reading.unclear if one.candidates or is_sure]
+
+    def _is_subject(self, sentence: str, meant: Mapping[str, Sequence[str]]) -> bool:
+        """Returns whether values are only what has something unheard: "the Regal has a bar?"."""
+        said, lexicon = tokenize(sentence), self._spelling.lexicon
+        verb = next((at for at, word in enumerate(said) if word in ("has", "have", "gives")), 0)
+        places = [lexicon.place(said, slot, values[0]) for slot, values in meant.items()]
+        return bool(verb) and all(at is not None and at.stop <= verb for at in places)
 
     def _is_of(self, sentence: str, meant: Mapping[str, Sequence[str]]) -> bool:
         """Returns whether a question is of something named, as "is the 2:40 one left?"."""

@@ -219,7 +219,10 @@ class WaysOut:
     ) -> Answer:
         """Returns the list of some values of a slot, with what else is asked where it is one."""
         held, index = full(now.state), self._slots.index
-        spoken_of = {*self._tracking.open(now.state), *now.lacking} & self._listed - {slot}
+        kinds, spoken_of = self._lexicon.kinds, {*self._tracking.open(now.state), *now.lacking}
+        if kinds[slot] == "time":  # at 5 pm, but on which day?
+            spoken_of |= {other for other, kind in kinds.items() if kind == "date"}
+        spoken_of = spoken_of & self._listed - {slot}
         asked = [one for one in self._slots if one in spoken_of and held[index(one)] < FIRST_VALUE]
         beside = []
         for value in choices[:MAX_CHOICES]:
