@@ -545,7 +545,7 @@ class Partner:
         unclear = [one for one in reading.unclear if not (one.candidates or one.is_denied)]
         names = [one.text for one in unclear if one.slot in details]
         says_more = bool(values_of(reading.frame) or reading.frame.requests)
-        asked = question.requests if question else ()
+        asked = {*self.domain.opening_slots, *(question.requests if question else ())}
         left = tuple(
             one
             for one in reading.unclear
