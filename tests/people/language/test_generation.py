@@ -133,3 +133,10 @@ def test_a_part_of_the_day_is_left_out_where_the_time_is_not_in_it(mouth):
         shown = {"date": "tonight", "starttime": time}
         assert f"{day}, " in mouth.say("understood", values=shown).lower()
         assert day in mouth.agent(Frame("inform", {"date": "tonight"}), shown)
+
+
+def test_a_list_says_beside_each_choice_what_goes_with_it(mouth):
+    beside = ({"theater": "regal reno 12"}, {})
+    text = mouth.say("several", ["starttime"], choices=("7 pm", "9 pm"), beside=beside)
+    assert "7 pm (" in text
+    assert "Regal Reno 12) or 9 pm" in text
