@@ -1,4 +1,4 @@
-"""What the records of a domain say of each other: a city's state, a movie's genre."""
+"""Completes the records of a domain from each other: a city has one state, a movie one genre."""
 
 from __future__ import annotations
 

@@ -9,24 +9,22 @@ from typing import TYPE_CHECKING, Any
 from bbq_torchrl.domains.frames import ANY, NO_MATCH_TEXT
 from bbq_torchrl.domains.values import fold
 from bbq_torchrl.people.dialogue.exchange import Answer, Memory, led, say, values_of
+from bbq_torchrl.people.dialogue.proposals import MAX_NAMED
 from bbq_torchrl.people.dialogue.tracking import full
 from bbq_torchrl.people.language import Frame
 
 if TYPE_CHECKING:
-    from collections.abc import Collection, Sequence
+    from collections.abc import Sequence, Set
 
     from tensordict import TensorDict
 
     from bbq_torchrl.people.dialogue.control import Control
     from bbq_torchrl.people.dialogue.hearing import Hearing
     from bbq_torchrl.people.dialogue.proposals import Proposals
-    from bbq_torchrl.people.dialogue.spelling import Spelling
-    from bbq_torchrl.people.dialogue.tracking import Acting, Tracking
+    from bbq_torchrl.people.dialogue.tracking import Acting
     from bbq_torchrl.people.dialogue.ways_out import WaysOut
-    from bbq_torchrl.people.language import EndpointGenerator, Generator, Understood
+    from bbq_torchrl.people.language import Understood
 
-MAX_NAMED = 4
-"""The number of slots that a sentence names."""
 _MAX_DENIED = 4
 """The number of refused offers after which the agent ends the conversation."""
 
@@ -35,10 +33,7 @@ class Deciding:
     """The answers of a policy to a person's acts, under the rules of the dialogue control.
 
     Args:
-        spelling: the spelling of values.
         hear: the reading of texts.
-        nlg: the nlg.
-        tracking: the agent's knowledge.
         control: the rules.
         acting: the agent's acts.
         proposals: the proposals of records.
@@ -49,22 +44,19 @@ class Deciding:
 
     def __init__(
         self,
-        spelling: Spelling,
         hear: Hearing,
-        nlg: Generator | EndpointGenerator,
-        tracking: Tracking,
         control: Control,
         acting: Acting,
         proposals: Proposals,
         ways_out: WaysOut,
-        details: Collection[str],
+        details: Set[str],
         max_turn: int,
     ) -> None:
-        self._spelling, self._hear, self._nlg = spelling, hear, nlg
-        self._tracking, self._control, self._acting = tracking, control, acting
+        self._hear, self._control, self._acting = hear, control, acting
         self._proposals, self._ways_out = proposals, ways_out
-        self._details, self._max_turn = {*details}, max_turn
-        domain = spelling.domain
+        self._details, self._max_turn = details, max_turn
+        self._spelling, self._nlg = proposals.spelling, proposals.nlg
+        self._tracking, domain = proposals.tracking, proposals.spelling.domain
         self._ticket = domain.ticket_slot
         self._fixed = {*domain.essential} - {*domain.free_slots}
 

@@ -12,10 +12,10 @@ from bbq_torchrl.domains.values import fold
 from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.accepting import SURE, Accepting
 from bbq_torchrl.people.dialogue.control import Control
-from bbq_torchrl.people.dialogue.deciding import MAX_NAMED, Deciding
+from bbq_torchrl.people.dialogue.deciding import Deciding
 from bbq_torchrl.people.dialogue.exchange import Answer, Memory, led, say, values_of
 from bbq_torchrl.people.dialogue.hearing import DOUBTFUL, Hearing
-from bbq_torchrl.people.dialogue.proposals import Proposals
+from bbq_torchrl.people.dialogue.proposals import MAX_NAMED, Proposals
 from bbq_torchrl.people.dialogue.questions import Questions, Told
 from bbq_torchrl.people.dialogue.spelling import Spelling
 from bbq_torchrl.people.dialogue.tracking import Acting, Tracking
@@ -115,19 +115,9 @@ class Partner:
         self._proposals = Proposals(
             self._spelling, self._tracking, self.control.records, nlg, self._acting.place
         )
-        self._ways_out = WaysOut(
-            self._spelling,
-            self._tracking,
-            self.control.records,
-            nlg,
-            self._acting.place,
-            self._proposals,
-        )
+        self._ways_out = WaysOut(self._proposals)
         self._deciding = Deciding(
-            self._spelling,
             self._hear,
-            nlg,
-            self._tracking,
             self.control,
             self._acting,
             self._proposals,

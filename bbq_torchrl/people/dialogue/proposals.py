@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from bbq_torchrl.people.dialogue.tracking import Tracking
     from bbq_torchrl.people.language import EndpointGenerator, Generator, Understood
 
-_MAX_NAMED = 4
+MAX_NAMED = 4
+"""The number of slots that a sentence names."""
 _NEARLY = 10  # minutes
 MAX_PROPOSALS = 2
 """The number of refused proposals, or of times that one is made, before the agent asks what may
@@ -50,6 +51,11 @@ class Proposals:
         place: bool ``[S]``, the slots that say where and when a record is.
 
     Attributes:
+        spelling: the spelling of values.
+        tracking: the agent's knowledge.
+        records: the domain's records.
+        nlg: the nlg.
+        place: bool ``[S]``, the slots that say where and when a record is.
         thing: the slot that a dialogue is about.
         holder: the slot with the most values, as the theater.
     """
@@ -62,8 +68,8 @@ class Proposals:
         nlg: Generator | EndpointGenerator,
         place: torch.Tensor,
     ) -> None:
-        self._spelling, self._tracking = spelling, tracking
-        self._records, self._nlg, self._place = records, nlg, place
+        self.spelling, self.tracking = spelling, tracking
+        self.records, self.nlg, self.place = records, nlg, place
         domain, kinds = spelling.domain, spelling.lexicon.kinds
         self._slots = domain.slots
         self._free = torch.tensor([slot in domain.free_slots for slot in domain.slots])
@@ -99,17 +105,17 @@ class Proposals:
         if now.proposal and is_refused:
             now = replace(now, refused=(*now.refused, now.proposal), proposal={})
         asked = [self._slots.index(slot) for slot in requests] + self.lacking(now)
-        change = self._records.nearest(full(now.state), self.refused(now), asked=asked)
+        change = self.records.nearest(full(now.state), self.refused(now), asked=asked)
         if not (change or is_refused):  # who tells other wishes may mean one refused before
             now = replace(now, refused=(), times=0)
-            change = self._records.nearest(full(now.state), asked=asked)
+            change = self.records.nearest(full(now.state), asked=asked)
         return self.propose(now, reading, change, words, asked)
 
     def shown(self, memory: Memory) -> dict[str, str]:
         """Returns where and when the record is that is proposed or offered, if any."""
         if not (memory.proposal or memory.is_offered):
             return {}
-        record, named = self.nearest(memory), (self._place & ~self._free).tolist()
+        record, named = self.nearest(memory), (self.place & ~self._free).tolist()
         return {
             s: record[s]
             for s, is_named in zip(self._slots, named, strict=True)
@@ -118,11 +124,11 @@ class Proposals:
 
     def earlier(self, memory: Memory, told: Mapping[str, str]) -> Mapping[str, str]:
         """Returns the latest of the other records shown that has these values, if any."""
-        now, ids = self.shown(memory), self._tracking.ids
+        now, ids = self.shown(memory), self.tracking.ids
         others = [one for one in reversed(memory.shown) if one != now]
-        rows = [self._records.row(torch.tensor(ids(one)), {}) for one in others]
+        rows = [self.records.row(torch.tensor(ids(one)), {}) for one in others]
         wholes = [
-            {**self._tracking.values(row), **one} for row, one in zip(rows, others, strict=True)
+            {**self.tracking.values(row), **one} for row, one in zip(rows, others, strict=True)
         ]
         placed = {slot: value for slot, value in told.items() if any(slot in one for one in others)}
         for wanted in (told, placed) if placed else (told,):
@@ -133,7 +139,7 @@ class Proposals:
 
     def _fits(self, record: Mapping[str, str], told: Mapping[str, str]) -> bool:
         """Returns whether a record has values, or has them in its own: "the Regal"."""
-        wholes, is_meant = self._spelling.wholes, self._spelling.is_meant
+        wholes, is_meant = self.spelling.wholes, self.spelling.is_meant
         named = ((s, value, record.get(wholes.get(s, s), "")) for s, value in told.items())
         return all(is_in(value, own) or is_meant(slot, value, own) for slot, value, own in named)
 
@@ -149,7 +155,7 @@ class Proposals:
             words: what determines the words.
         """
         assert now.state is not None
-        ids, held = torch.tensor(self._tracking.ids(record)), full(now.state)
+        ids, held = torch.tensor(self.tracking.ids(record)), full(now.state)
         now = replace(now, times=0, refused=())
         held = torch.where(ids != NONE, ids, torch.where(self._free, held, NONE))
         change = {slot: value for slot, value in enumerate(ids.tolist()) if value != NONE}
@@ -169,8 +175,8 @@ class Proposals:
             return {}
         change, refused = dict(self._pairs(memory.proposal)), self.refused(memory)
         held = full(memory.state)
-        row = self._records.row(held, change, refused)
-        return self._tracking.values(torch.where(self._free & (held >= FIRST_VALUE), held, row))
+        row = self.records.row(held, change, refused)
+        return self.tracking.values(torch.where(self._free & (held >= FIRST_VALUE), held, row))
 
     def is_complete(self, memory: Memory, told: Mapping[str, str]) -> bool:
         """Returns whether nothing is missing to book a proposal, such as for how many.
@@ -179,21 +185,21 @@ class Proposals:
             memory: the memory with the proposal.
             told: what the reply to it tells.
         """
-        known = self._tracking.kept(memory.state)
+        known = self.tracking.kept(memory.state)
         own = {slot: value for slot, value in told.items() if slot in self._own}
         is_same = all(known.get(slot, value) == value for slot, value in own.items())
         return is_same and self._own <= {*values_of(known), *own}
 
     def lasting(self, values: Mapping[str, str]) -> dict[str, str]:
         """Returns what some values are about and where, as the city of a zip code."""
-        held = torch.tensor(self._tracking.ids(values))
-        return self._tracking.values(self._records.here(held, self._records.lasting))
+        held = torch.tensor(self.tracking.ids(values))
+        return self.tracking.values(self.records.here(held, self.records.lasting))
 
     def implied(self, values: Mapping[str, str]) -> dict[str, str]:
         """Returns values with those that they determine, as a theater its city."""
-        ids = torch.tensor(self._tracking.ids(values))
-        here = self._records.here(ids, torch.ones_like(ids, dtype=torch.bool))
-        return {**self._tracking.values(here), **values}
+        ids = torch.tensor(self.tracking.ids(values))
+        here = self.records.here(ids, torch.ones_like(ids, dtype=torch.bool))
+        return {**self.tracking.values(here), **values}
 
     def otherwise(self, state: TensorDict, understood: Frame) -> Iterator[dict[str, str]]:
         """Yields what else an act may wish after which no record has all that is held, by slot.
@@ -205,23 +211,23 @@ class Proposals:
             state: the state after the act.
             understood: the act.
         """
-        kept, told = self._tracking.kept(state), values_of(understood)
+        kept, told = self.tracking.kept(state), values_of(understood)
         free = {slot: ANY for slot in understood.requests if slot in kept and slot not in told}
         yield free
         both = (self._pairs(told), self._pairs({s: kept[s] for s in kept.keys() - told.keys()}))
-        is_tied = self._records.determines | self._records.determines.T
+        is_tied = self.records.determines | self.records.determines.T
         yield free | {
             self._slots[one[0]]: ANY
             for other, one in product(*both)
-            if is_tied[one[0], other[0]] and not self._records.with_any([[one, other]]).any()
+            if is_tied[one[0], other[0]] and not self.records.with_any([[one, other]]).any()
         }
 
     def within(self, state: TensorDict) -> dict[str, str]:
         """Returns the time or day nearest to what is held, in it and of a record with all else."""
         held = full(state)
-        for number in self._records.parts(held):
-            names = self._records.vocabulary[number]
-            wish, choices = names[held[number]], self._records.choices(held, number)
+        for number in self.records.parts(held):
+            names = self.records.vocabulary[number]
+            wish, choices = names[held[number]], self.records.choices(held, number)
             middle = about_minutes(wish)
             found = [names[value] for value in choices]
             if not isnan(middle):
@@ -234,8 +240,8 @@ class Proposals:
 
     def refuse(self, now: Memory) -> Memory:
         """Returns the memory after the offered record is refused."""
-        offer = torch.tensor(self._tracking.ids(self.nearest(now)))
-        return replace(now, refused=(*now.refused, self._tracking.values(self._place * offer)))
+        offer = torch.tensor(self.tracking.ids(self.nearest(now)))
+        return replace(now, refused=(*now.refused, self.tracking.values(self.place * offer)))
 
     def propose(
         self,
@@ -261,53 +267,53 @@ class Proposals:
             lead: the sentence to begin with, as "There is nothing later".
         """
         assert now.state is not None
-        state, records = now.state, self._records
+        state, records = now.state, self.records
         held = full(state) if held is None else held
         now = replace(now, asking=Asking())
         row = records.row(held, change, self.refused(now))
-        ids = torch.where(self._place & (row != held), row, 0)
+        ids = torch.where(self.place & (row != held), row, 0)
         ids[[*change, *asked]] = row[[*change, *asked]]
-        proposal = self._tracking.values(ids)
+        proposal = self.tracking.values(ids)
         missed = [n for n in records.conflict(held) if not records.minor[n]]
         conflict = {self._slots[n]: records.vocabulary[n][held[n]] for n in missed}
-        own = self._tracking.values(row)
-        if all(self._spelling.is_meant(s, v, own.get(s, "")) for s, v in conflict.items()):
+        own = self.tracking.values(row)
+        if all(self.spelling.is_meant(s, v, own.get(s, "")) for s, v in conflict.items()):
             conflict = {}  # but for a detail, which is told beside it
-        kinds = self._spelling.lexicon.kinds
+        kinds = self.spelling.lexicon.kinds
         hours = [(v, own.get(s, "")) for s, v in conflict.items() if kinds.get(s) == "time"]
         if any(abs(minutes_of(wish) - minutes_of(time)) <= _NEARLY for wish, time in hours):
             conflict = {}  # 2:25 is about half past two
-        odd = self._odd(self._tracking.values(held), own)
+        odd = self._odd(self.tracking.values(held), own)
         conflict |= odd
         asks = bool(values_of(reading.frame) or reading.frame.requests)
         times = 1 if asks and proposal != now.proposal else now.times + 1
         if not change or times > MAX_PROPOSALS:
-            told = self._tracking.values(torch.where(held >= FIRST_VALUE, held, self._place * row))
-            names = [*conflict] or [*told][:_MAX_NAMED]
-            sentence = self._nlg.say("nothing", names, **words)
+            told = self.tracking.values(torch.where(held >= FIRST_VALUE, held, self.place * row))
+            names = [*conflict] or [*told][:MAX_NAMED]
+            sentence = self.nlg.say("nothing", names, **words)
             now, sentence = replace(now, proposal={}, times=0), f"{lead} {sentence}".strip()
             return Answer(sentence, reading, reading.frame, Frame("not_sure"), now)
         is_near = not conflict or (records.is_same_day(held, change) and not odd)
         use = "another" if is_near else "way_out"
-        shown = self._tracking.values(torch.where(self._place, row, ids))
-        known = values_of(self._tracking.kept(now.state))
+        shown = self.tracking.values(torch.where(self.place, row, ids))
+        known = values_of(self.tracking.kept(now.state))
         shown |= {slot: value for slot, value in known.items() if slot in self._own}
-        sentence = self._nlg.say(use, values=conflict, other=shown, **words)
+        sentence = self.nlg.say(use, values=conflict, other=shown, **words)
         wished = (state.get("wished", held) > 0) & records.lasting & (held >= FIRST_VALUE)
         if (
             not (lead or conflict) and (wished & (row != held)).any()
         ):  # all that is there is refused
-            there = self._tracking.values(torch.where(wished, held, NONE))
-            lead = self._nlg.say("no_other", [self.thing], values=there, **words)
+            there = self.tracking.values(torch.where(wished, held, NONE))
+            lead = self.nlg.say("no_other", [self.thing], values=there, **words)
         if not lead and (lost := self._lost(now, held, row, conflict)):
-            lead = self._nlg.say("no_promise", values=lost, **words)
+            lead = self.nlg.say("no_promise", values=lost, **words)
         sentence = f"{lead} {sentence}".strip()
         now = replace(now, proposal=proposal, times=times)
         return Answer(sentence, reading, reading.frame, Frame("not_sure", proposal), now)
 
     def _odd(self, wishes: Mapping[str, str], record: Mapping[str, str]) -> dict[str, str]:
         """Returns the days wished in whose part a record's time is not: "tonight" at 10:05 am."""
-        kinds = self._spelling.lexicon.kinds
+        kinds = self.spelling.lexicon.kinds
         times = [value for slot, value in record.items() if kinds.get(slot) == "time"]
         days = {slot: value for slot, value in wishes.items() if kinds.get(slot) == "date"}
         return {s: v for s, v in days.items() if any(day_at(v, time) != v for time in times)}
@@ -316,15 +322,15 @@ class Proposals:
         self, now: Memory, held: torch.Tensor, row: torch.Tensor, conflict: Collection[str]
     ) -> dict[str, str]:
         """Returns the details wished that a record does not have, unlike the last one."""
-        lost = self._records.minor & (held >= FIRST_VALUE) & (row != held)
+        lost = self.records.minor & (held >= FIRST_VALUE) & (row != held)
         has = self.nearest(now) if now.proposal or now.is_offered else None
-        names = " ".join(self._tracking.values(row).values())
+        names = " ".join(self.tracking.values(row).values())
         return {
             slot: value
-            for slot, value in self._tracking.values(torch.where(lost, held, NONE)).items()
+            for slot, value in self.tracking.values(torch.where(lost, held, NONE)).items()
             if not (slot in conflict or value in names) and (not has or has.get(slot) == value)
         }
 
     def _pairs(self, values: Mapping[str, str]) -> list[tuple[int, int]]:
         """Returns the values that the domain has as pairs of slot and value id."""
-        return [(slot, value) for slot, value in enumerate(self._tracking.ids(values)) if value]
+        return [(slot, value) for slot, value in enumerate(self.tracking.ids(values)) if value]

@@ -1,4 +1,4 @@
-"""What there is: lists of values, and others than those spoken of."""
+"""Lists the values that there are, and proposes alternatives to what is spoken of."""
 
 from __future__ import annotations
 
@@ -27,10 +27,7 @@ if TYPE_CHECKING:
 
     from bbq_torchrl.people.dialogue.exchange import Memory
     from bbq_torchrl.people.dialogue.proposals import Proposals
-    from bbq_torchrl.people.dialogue.records import Records
-    from bbq_torchrl.people.dialogue.spelling import Spelling
-    from bbq_torchrl.people.dialogue.tracking import Tracking
-    from bbq_torchrl.people.language import EndpointGenerator, Generator, Understood
+    from bbq_torchrl.people.language import Understood
 
 _FEW = 20  # records: more are asked about
 
@@ -39,34 +36,22 @@ class WaysOut:
     """Lists what a person asks for, and proposes others than what is spoken of.
 
     Args:
-        spelling: the spelling of values.
-        tracking: the agent's knowledge.
-        records: the domain's records.
-        nlg: the nlg.
-        place: bool ``[S]``, the slots that say where and when a record is.
         proposals: the proposals of records.
     """
 
-    def __init__(
-        self,
-        spelling: Spelling,
-        tracking: Tracking,
-        records: Records,
-        nlg: Generator | EndpointGenerator,
-        place: torch.Tensor,
-        proposals: Proposals,
-    ) -> None:
-        self._lexicon, self._slots = spelling.lexicon, spelling.domain.slots
-        self._spelling, self._proposals = spelling, proposals
+    def __init__(self, proposals: Proposals) -> None:
+        self._proposals, self._spelling = proposals, proposals.spelling
+        self._lexicon, domain = self._spelling.lexicon, self._spelling.domain
+        self._slots, self._tracking = domain.slots, proposals.tracking
+        self._records, self._nlg, self._place = proposals.records, proposals.nlg, proposals.place
         self._thing, self._holder = proposals.thing, proposals.holder
         self._parts = {
             slot: {part for name in self._lexicon.values(slot) for part in _parts(tokenize(name))}
-            for slot in spelling.wholes.values()
+            for slot in self._spelling.wholes.values()
         }
-        self._tracking, self._records, self._nlg = tracking, records, nlg
-        self._place, domain, kinds = place, spelling.domain, spelling.lexicon.kinds
+        kinds, is_listed = self._lexicon.kinds, self._records.is_listed
         index, asked = domain.slots.index, {action.slot for action in domain.actions}
-        self._listed = {slot for slot in kinds if slot in asked and records.is_listed(index(slot))}
+        self._listed = {slot for slot in kinds if slot in asked and is_listed(index(slot))}
 
     def others(
         self,
