@@ -83,7 +83,8 @@ class Accepting:
         told = {own.get(fold(value), slot): value for slot, value in values_of(said.frame).items()}
         free = {s: v for s, v in values_of(reading.frame).items() if s in self._free}
         is_certain = takes and self._is_certain(reading, text)
-        told = self._of_show({**free, **told}, record, takes, is_certain)
+        is_yes = takes or beside is not None
+        told = self._of_show({**free, **told}, record, text, is_yes, is_certain)
         requests = tuple(slot for slot in said.frame.requests if slot != self._ticket)
         is_meant = self._spelling.is_meant
         told |= {s: own for s, own in proposal.items() if s in told and is_meant(s, told[s], own)}
@@ -156,7 +157,7 @@ class Accepting:
             beside = replace(beside, unclear=unclear)
             beside = self._hear.of_record(beside, offer, text)  # "today" is tonight's day
             is_certain = takes and self._is_certain(reading, text)
-            told = self._of_show(values_of(beside.frame), offer, takes, is_certain)
+            told = self._of_show(values_of(beside.frame), offer, text, True, is_certain)
             if self._asks_more(reading, text, offer):
                 return replace(reading, frame=Frame("not_sure")), False
             is_repeated = told.items() <= offer.items() and not beside.unclear
@@ -187,17 +188,24 @@ class Accepting:
         return replace(reading, frame=Frame("not_sure")), False
 
     def _of_show(
-        self, values: Mapping[str, str], record: Mapping[str, str], takes: bool, is_certain: bool
+        self,
+        values: Mapping[str, str],
+        record: Mapping[str, str],
+        text: str,
+        is_yes: bool,
+        is_certain: bool,
     ) -> dict[str, str]:
         """Returns what a reply tells beside a show, of which a yes takes "Saturday night".
 
-        A certain yes wishes no other detail: "I'll get an aisle seat. Yes, do it".
+        A certain yes wishes no other detail, and nothing else of what it names: "I'll get an aisle
+        seat. Yes, do it", "Sunday works, I fly on Monday. Go for it".
         """
         told = self._spelling.besides(values, record)
         if is_certain:
-            own = self._fixed | self._free
+            own, named = self._fixed | self._free, self._spelling.is_named
             told = {s: v for s, v in told.items() if s in own or record.get(s) == v}
-        return self._spelling.on_day(told, record) if takes else told
+            told |= {s: record[s] for s in told.keys() & record if named(text, {s: record[s]})}
+        return self._spelling.on_day(told, record) if is_yes else told
 
     @staticmethod
     def _is_certain(reading: Understood, text: str) -> bool:

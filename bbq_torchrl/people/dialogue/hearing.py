@@ -257,6 +257,7 @@ class Hearing:
             slot
             for slot in moves.taken_back(text, held, lexicon)
             if (told.get(slot, ANY) == ANY and (slot in held or slot not in self._details))
+            or (slot in held and told.get(slot) == held[slot])
             or lexicon.place(gone, slot, told.get(slot, "")) is not None
         )
         if not slots:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import yaml
 
-from bbq_torchrl.people.language.quantities import PART_WORDS
+from bbq_torchrl.people.language.quantities import COUNT_WORDS, PART_WORDS
 from bbq_torchrl.people.language.words import SMALL, legible, tokenize
 
 if TYPE_CHECKING:
@@ -41,6 +41,7 @@ _SENTENCE = re.compile(r"[^.;!?]+[.;!? ]*")  # also "yes ! !"
 _NEXT = re.compile(
     r" (?:,(?: and| but| also| so)*|(?:and|but|also)(?: also)?) "
     r"(?=(?:is|are|does|do|will|can|wh\w+(?:'s)?|how)(?!\S)(?! (?:it|that) \?))"
+    r"|(?<=later|rlier) or (?=(?:another|a different|other)\b)"
 )
 _PIECE = re.compile(r"[^,.;!?]+[,.;!? ]*")
 _AND = re.compile(rf"(?:{_CLAUSE.pattern})(?:and |also |plus )*| (?:and|n|also|plus|&) ")
@@ -93,6 +94,11 @@ def is_filler(text: str) -> bool:
     """Returns whether a text has only words that say nothing by themselves, such as "hmm"."""
     words = _words(text).split()
     return {*words} <= _BESIDE and not accepts(text)
+
+
+def is_passing(detail: str) -> bool:
+    """Returns whether a detail is said in passing: "around here", "with my kids"."""
+    return is_filler(detail) or {*tokenize(detail)} <= COUNT_WORDS
 
 
 def beside_yes(text: str) -> str | None:

@@ -17,7 +17,7 @@ from bbq_torchrl.people.dialogue.exchange import Answer, Memory, led, say, value
 from bbq_torchrl.people.dialogue.hearing import DOUBTFUL, Hearing
 from bbq_torchrl.people.dialogue.proposals import MAX_NAMED, Proposals
 from bbq_torchrl.people.dialogue.questions import Questions, Told
-from bbq_torchrl.people.dialogue.spelling import Spelling
+from bbq_torchrl.people.dialogue.spelling import Spelling, is_in
 from bbq_torchrl.people.dialogue.tracking import Acting, Tracking
 from bbq_torchrl.people.dialogue.ways_out import WaysOut
 from bbq_torchrl.people.language import Frame, TextError, Understood
@@ -272,10 +272,12 @@ class Partner:
         is_moved = moves.direction(text) or moves.says(text, "question")
         picks = turn.question is not None and turn.question.choices
         is_picked = picks and not {*picks}.isdisjoint(reading.frame.informs.values())
-        is_wish = bool(values_of(reading.frame)) and (is_picked or not is_moved)
+        held = self._tracking.kept(before.state)
+        known = {**held, **turn.record}
+        is_news = any(known.get(s) != value for s, value in values_of(reading.frame).items())
+        is_wish = is_news and (is_picked or not is_moved)
         others = "way_out" in rules and bool(moves.others(text)) and not is_wish
         others &= not self._is_detail(moves.others(text), reading)
-        held = self._tracking.kept(before.state)
         if "way_out" in rules:
             reading = self._narrowed(reading, text, before, turn.record)
         is_about = bool(before.proposal) or before.is_offered or others
@@ -296,7 +298,8 @@ class Partner:
             reading = self._hear.without_relative(reading, text, turn.record)
             found = self._others(turn, now, reading, held, dropped)
             if found is not None:
-                beside = self._questions(self._proposals.nearest(found.memory), text, turn.words)
+                spoken_of = {} if found.answered.choices else self._proposals.nearest(found.memory)
+                beside = self._questions(spoken_of, text, turn.words)
                 found = led(led(found, beside.text), lead)
                 is_open = found.memory.proposal or found.memory.is_offered or found.answered.choices
                 if is_open or found.text.endswith("?"):
@@ -321,6 +324,11 @@ class Partner:
         still = self._tracking.open(before.state)
         news = [slot for slot in understood.requests if slot not in still]
         lists = news if is_list else [*news, *still]
+        if is_list and "way_out" in rules:
+            told = replace(now, state=self._deciding.told(before.state, understood)[1])
+            found = self._ways_out.beside(told, reading, turn.question, turn.words)
+            if found is not None:
+                return led(found, lead)
         answer = self._deciding(
             now, reading, understood, turn.words, is_booked=is_booked, lists=lists
         )
@@ -344,9 +352,12 @@ class Partner:
         is_found &= bool(values_of(understood))
         asking = [one for one in moves.sentences(text) if moves.asks_whether_any(one)]
         if asking and is_found and not absent:
-            is_heard = any(values_of(self._hear(one, None).frame) for one in asking)
-            is_unheard = not is_heard and moves.says(asking[0], "detail")  # "is there parking?"
-            use = "yes" if is_heard else "unknown_question" if is_unheard else ""
+            heard = [v for one in asking for v in values_of(self._hear(one, None).frame).values()]
+            names = " , ".join(turn.record.values())
+            # "Is there parking at the AMC?"
+            is_unheard = moves.says(asking[0], "detail") and all(is_in(v, names) for v in heard)
+            is_unheard &= not self._spelling.named(asking[0], self.domain.slots)
+            use = "unknown_question" if is_unheard else "yes" if heard else ""
             answer = led(answer, self._nlg.say(use, **turn.words) if use else "")
         return answer
 
@@ -451,7 +462,9 @@ class Partner:
         return {
             slot: value
             for slot, value in aside.items()
-            if value not in names and (value != known.get(slot) or slot in understood.informs)
+            if value not in f"{names} {fold(answer.text)}"
+            if value != known.get(slot) or slot in understood.informs
+            if not moves.is_passing(value)
         }
 
     def _others(
@@ -534,6 +547,7 @@ class Partner:
             details |= passing.difference(question.requests)
         unclear = [one for one in reading.unclear if not (one.candidates or one.is_denied)]
         names = [one.text for one in unclear if one.slot in details]
+        said = [name for name in names if not moves.is_passing(name)]
         says_more = bool(values_of(reading.frame) or reading.frame.requests)
         asked = {*self.domain.opening_slots, *(question.requests if question else ())}
         left = tuple(
@@ -546,7 +560,7 @@ class Partner:
             or one.slot in asked
             or _is_placed(one.text, text)
         )
-        sentence = self._nlg.say("not_on_file", choices=names, **words) if names else ""
+        sentence = self._nlg.say("not_on_file", choices=said, **words) if said else ""
         return replace(reading, unclear=left), sentence
 
     def _question(self, before: Memory) -> Frame | None:

@@ -11,6 +11,7 @@ import torch
 
 from bbq_torchrl.domains.frames import ANY
 from bbq_torchrl.domains.values import FIRST_VALUE, NONE
+from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.exchange import Answer, values_of
 from bbq_torchrl.people.dialogue.spelling import is_in
 from bbq_torchrl.people.dialogue.tracking import full
@@ -277,7 +278,8 @@ class Proposals:
         missed = [n for n in records.conflict(held) if not records.minor[n]]
         conflict = {self._slots[n]: records.vocabulary[n][held[n]] for n in missed}
         own = self.tracking.values(row)
-        if all(self.spelling.is_meant(s, v, own.get(s, "")) for s, v in conflict.items()):
+        fit = self.spelling.on_day(conflict, own)
+        if all(self.spelling.is_meant(s, v, own.get(s, "")) for s, v in fit.items()):
             conflict = {}  # but for a detail, which is told beside it
         kinds = self.spelling.lexicon.kinds
         hours = [(v, own.get(s, "")) for s, v in conflict.items() if kinds.get(s) == "time"]
@@ -305,7 +307,7 @@ class Proposals:
         ):  # all that is there is refused
             there = self.tracking.values(torch.where(wished, held, NONE))
             lead = self.nlg.say("no_other", [self.thing], values=there, **words)
-        if not lead and (lost := self._lost(now, held, row, conflict)):
+        if not lead and (lost := self._lost(now, reading, held, row, conflict)):
             lead = self.nlg.say("no_promise", values=lost, **words)
         sentence = f"{lead} {sentence}".strip()
         now = replace(now, proposal=proposal, times=times)
@@ -319,16 +321,22 @@ class Proposals:
         return {s: v for s, v in days.items() if any(day_at(v, time) != v for time in times)}
 
     def _lost(
-        self, now: Memory, held: torch.Tensor, row: torch.Tensor, conflict: Collection[str]
+        self,
+        now: Memory,
+        reading: Understood,
+        held: torch.Tensor,
+        row: torch.Tensor,
+        conflict: Collection[str],
     ) -> dict[str, str]:
-        """Returns the details wished that a record does not have, unlike the last one."""
+        """Returns the details that a record does not have, unlike the last one, or wished now."""
         lost = self.records.minor & (held >= FIRST_VALUE) & (row != held)
         has = self.nearest(now) if now.proposal or now.is_offered else None
         names = " ".join(self.tracking.values(row).values())
         return {
             slot: value
             for slot, value in self.tracking.values(torch.where(lost, held, NONE)).items()
-            if not (slot in conflict or value in names) and (not has or has.get(slot) == value)
+            if not (slot in conflict or value in names or moves.is_passing(value))
+            if not has or has.get(slot) == value or slot in reading.frame.informs
         }
 
     def _pairs(self, values: Mapping[str, str]) -> list[tuple[int, int]]:

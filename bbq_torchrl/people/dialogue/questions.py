@@ -13,6 +13,7 @@ from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.hearing import DOUBTFUL
 from bbq_torchrl.people.dialogue.spelling import is_in
 from bbq_torchrl.people.language import Frame
+from bbq_torchrl.people.language.quantities import day_at
 from bbq_torchrl.people.language.words import SMALL, tokenize
 
 if TYPE_CHECKING:
@@ -91,7 +92,7 @@ class Questions:
         called = rf"(?:{name}|(?:the )?(?:{'|'.join(map(re.escape, short)) or '_'})\b)"
         subject = re.compile(rf"\b(is|does) {called}(?= (?!right\b|correct\b)\w)")
         sentences = moves.sentences(text)
-        for sentence, following in zip(sentences, [*sentences[1:], ""], strict=True):
+        for at, sentence in enumerate(sentences, 1):
             # "what time is the first matinee?" is no question about others
             is_others = bool(moves.others(re.sub(rf"\b{name}", "it", sentence)))
             about = subject.sub(r"\1 it", sentence)
@@ -104,7 +105,7 @@ class Questions:
                 found = self._answer(record or near or {}, about, words)
             else:
                 found = None
-            if self._is_refused(sentence, following):
+            if self._is_refused(sentence, sentences[at:]):
                 is_refused = True
                 rest.append(f"not {sentence.rstrip(' ?')} .")
                 continue
@@ -229,10 +230,11 @@ class Questions:
             answer += f" {self._nlg.say('no_promise', values=untold, **words)}"
         return answer, told, not missing
 
-    def _is_refused(self, sentence: str, following: str) -> bool:
+    def _is_refused(self, sentence: str, following: Sequence[str]) -> bool:
         """Returns whether a sentence echoes a name to refuse it: "Seattle? No, in Reno"."""
         is_echo = sentence.endswith("?") and not moves.says(sentence.rstrip(" ?"), "question")
-        return is_echo and moves.says(following, "no_first")
+        is_else = any(moves.says(one, "something_else") for one in following)
+        return is_echo and (is_else or moves.says("".join(following[:1]), "no_first"))
 
     def _is_unheard(self, sentence: str, reading: Understood | None) -> bool:
         """Returns whether a sentence asks whether, and it was not heard what.
@@ -273,6 +275,10 @@ class Questions:
 
     def _having(self, record: Mapping[str, str], of: str, values: Sequence[str]) -> str | None:
         """Returns the slot of a record that has one of some values of a slot, or it in a name."""
+        kinds = self._spelling.lexicon.kinds
+        times = [time for slot, time in record.items() if kinds.get(slot) == "time"]
+        if kinds.get(of) == "date" and any(day_at(values[0], time) != values[0] for time in times):
+            return None  # "is it tonight?" of a show at 10 am
         if f" {record.get(of)} " in f" {values[0]} ":  # "great according to"
             return of
         for slot, own in record.items():

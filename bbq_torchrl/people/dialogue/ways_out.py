@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from functools import partial
-from itertools import pairwise
+from itertools import compress, pairwise
 from typing import TYPE_CHECKING, Any
 
 import torch
@@ -45,6 +45,7 @@ class WaysOut:
         self._slots, self._tracking = domain.slots, proposals.tracking
         self._records, self._nlg, self._place = proposals.records, proposals.nlg, proposals.place
         self._thing, self._holder = proposals.thing, proposals.holder
+        self._wider = self._records.determines[self._slots.index(self._holder)] & self._place
         self._parts = {
             slot: {part for name in self._lexicon.values(slot) for part in _parts(tokenize(name))}
             for slot in self._spelling.wholes.values()
@@ -123,8 +124,7 @@ class WaysOut:
             at_all = torch.where(is_wish & stays_so, full(now.state), NONE)
             found = self._choices(now, at_all, number, is_other=is_other) or found
         if len(found) > 1 and not (is_time[number] and len(found) > _FEW):
-            values = tuple(records.vocabulary[number][value] for value in found)
-            return self._several(now, reading, slot, values, words)
+            return self._where(now, reading, slot, found, words)
         # The wishes stay, unless none has them all.
         fixed = records.lasting | (is_wish & (is_met | records.determines.any(0))) | named
         fixed &= ~(is_time & is_moved)
@@ -202,10 +202,15 @@ class WaysOut:
         choices: tuple[str, ...],
         words: dict[str, Any],
     ) -> Answer:
-        """Returns the list of some values of a slot, with what else is asked where it is one."""
+        """Returns the list of some values of a slot, with what else is asked where it is one.
+
+        What all of them have is said first.
+        """
         held, index = full(now.state), self._slots.index
         kinds, spoken_of = self._lexicon.kinds, {*self._tracking.open(now.state), *now.lacking}
-        if kinds[slot] == "time":  # at 5 pm, but on which day?
+        if kinds[slot] in ("time", "date"):  # at 5 pm, but on which day, what and where?
+            spoken_of |= {self._thing, *compress(self._slots, self._wider.tolist())}
+        if kinds[slot] == "time":
             spoken_of |= {other for other, kind in kinds.items() if kind == "date"}
         spoken_of = spoken_of & self._listed - {slot}
         asked = [one for one in self._slots if one in spoken_of and held[index(one)] < FIRST_VALUE]
@@ -221,7 +226,11 @@ class WaysOut:
                     if len(of) == 1
                 }
             )
+        same = {s: v for s, v in beside[0].items() if all(one.get(s) == v for one in beside)}
+        beside = [{s: v for s, v in one.items() if s not in same} for one in beside]
         sentence = self._nlg.say("several", [slot], choices=choices, beside=beside, **words)
+        if same:
+            sentence = f"{self._nlg.agent(Frame('inform', same), **words)} {sentence}"
         answered = Frame("multiple_choice", {}, (slot,), choices)
         lacking = tuple(dict.fromkeys((*now.lacking, slot)))  # "what cinema is each of those at?"
         now = replace(now, asking=Asking(slot=slot, choices=choices), proposal={}, lacking=lacking)
@@ -274,6 +283,8 @@ class WaysOut:
         first = " ".join(moves.after_other(wanted))
         names = [*moves.named_slots(first, lexicon), *moves.named_slots(wanted, lexicon)]
         slots = who or [s for s in names if s in self._listed and s not in stays]
+        if moves.says(wanted, "other_day"):
+            slots = slots or [s for s in lexicon.slots if lexicon.kinds[s] == "date"]
         if moves.says(wanted, "something_else"):  # "something else with good reviews"
             slots = [slot for slot in slots if slot not in informs]
         # "Anything other than Oppenheimer in 3D?"
@@ -281,6 +292,8 @@ class WaysOut:
         slots = slots or [slot for slot in excluded if slot not in informs]
         slots = slots or [self._thing] * (bool(other) and not moves.direction(text))
         stays += named_values(wanted, told, lexicon)
+        if moves.says(wanted, "other_day"):  # another evening is at any time
+            stays = [slot for slot in stays if lexicon.kinds[slot] != "time"]
         # Another of a chain is another theater, whose name begins with the chain's.
         begins = tuple(f"{told.get(slot)} " for slot in stays)
         slots = slots or [slot for slot, name in told.items() if name.startswith(begins)]
@@ -359,11 +372,15 @@ class WaysOut:
         open_ = [one for one in requests if one in self._listed and held[index(one)] < FIRST_VALUE]
         if not open_:
             return None
-        slot, number = open_[0], index(open_[0])
-        found = self._choices(now, held, number, is_other=False)
-        if len(found) < 2:
-            return None
-        wider = self._records.determines[index(self._holder)] & self._place & (held == NONE)
+        found = self._choices(now, held, index(open_[0]), is_other=False)
+        return self._where(now, reading, open_[0], found, words) if len(found) > 1 else None
+
+    def _where(
+        self, now: Memory, reading: Understood, slot: str, found: list[int], words: dict[str, Any]
+    ) -> Answer:
+        """Returns the list of some values, or of many theaters or times that of where they are."""
+        held, number = full(now.state), self._slots.index(slot)
+        wider = self._wider & (held == NONE)
         is_of_place = slot == self._holder or self._lexicon.kinds[slot] == "time"
         if len(found) > MAX_CHOICES and is_of_place and wider.any():
             where = int(wider.nonzero()[0])
@@ -372,6 +389,32 @@ class WaysOut:
                 slot, number, found = self._slots[where], where, places
         values = tuple(self._records.vocabulary[number][value] for value in found)
         return self._several(now, reading, slot, values, words)
+
+    def beside(
+        self, now: Memory, reading: Understood, question: Frame, words: dict[str, Any]
+    ) -> Answer | None:
+        """Returns a list again, with what a text asks of its values, if it picks none of them.
+
+        Args:
+            now: the memory, with the state after the person's act.
+            reading: the meaning of the text.
+            question: the list.
+            words: what determines the words.
+        """
+        assert now.state is not None
+        slot, asked = question.requests[0], {*reading.frame.requests} & self._listed
+        held, number = full(now.state), self._slots.index(slot)
+        many = [
+            one
+            for one in map(self._slots.index, asked)
+            if len(self._choices(now, held, one, is_other=False)) > 1
+        ]
+        if slot in {*asked, *reading.frame.informs} or not many:
+            return None
+        found = self._choices(now, held, number, is_other=False)
+        names = {self._records.vocabulary[number][value] for value in found}
+        left = tuple(value for value in question.choices if value in names)
+        return self._several(now, reading, slot, left, words) if len(left) > 1 else None
 
     def on_file(
         self, now: Memory, reading: Understood, words: dict[str, Any], told: Mapping[str, str]

@@ -151,7 +151,8 @@ def _is_no_count(words: Sequence[str], span: Span, lexicon: Lexicon) -> bool:
     own = " ".join(words[span.start : span.end])
     said = " ".join(words[span.start : span.end + _MAX_AFTER])
     is_none = _NO_COUNT.search(own) is not None or _NO_COUNT.match(said) is not None
-    is_none |= words[span.start - 1] in _UNTIL and span.start > 0  # "in bed by ten"
+    is_until = words[span.start - 1] in _UNTIL and span.start > 0
+    is_none |= is_until and own != "myself"  # "in bed by ten"
     is_none |= _NO_COUNT.match(" ".join(words[max(span.start - 2, 0) : span.end])) is not None
     return lexicon.kinds[span.slot] == "count" and is_none
 
@@ -176,22 +177,31 @@ def chosen(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | Non
     if not question.choices:
         return None
     slot, choices = question.requests[0], question.choices
+    spans = [span for span in lexicon.full_names(words, slot) if span.slot == slot]
+    names = [" ".join(words[s.start : s.end]) for s in spans if not is_denied(words, *s[1:])]
+    keys = {lexicon.key(slot, value) for name in names for value in lexicon.link(slot, name).values}
+    own = [value for value in choices if lexicon.key(slot, value) in keys]
+    if len(own) == 1:  # "the 3:15 one, we can have lunch first"
+        return own[0]
     words = _NTH.sub(lambda found: _PLACES[int(found[1]) - 1].split()[0], " ".join(words)).split()
     clocks = {lexicon.key(slot, value)[-5:]: value for value in choices}
-    ends = {after for word, after in pairwise(words) if word in ("the", "that")}
+    pairs = [*pairwise(words)]
+    ends = {after for word, after in pairs if word in ("the", "that", "at")}
+    ends |= {word for word, after in pairs if after in ("one", "1")}
     # Only keys such as "at 19:30" and "after 18:00" can be ordered.
     if lexicon.kinds.get(slot) == "time" and all(clock[2:3] == ":" for clock in clocks):
-        if ends & {"later", "latest"}:  # not "anything later?"
+        if ends & {"late", "later", "latest"}:  # not "anything later?"
             return clocks[max(clocks)]
-        if ends & {"earlier", "earliest"}:
+        if ends & {"early", "earlier", "earliest"}:
             return clocks[min(clocks)]
     # Words that one choice has more of than the others: "the downtown one".
     said = {compact(word) for word in words if word not in SMALL} - _NO_CHOICE
     shared = {value: len(said & {*map(compact, value.split())}) for value in choices}
     most = max(shared.values())
     best = [value for value in choices if shared[value] == most]
-    # In a longer text one word is not enough: "I wanted the ones you left out".
+    # In a longer text one word is not enough, but for "what times are at the Southgate?".
     is_named = most > 1 or len(words) <= _FEW or 2 * most >= len(best[0].split())
+    is_named |= not (ends & said).isdisjoint(map(compact, best[0].split()))
     if most and len(best) == 1 and is_named:
         return best[0]
     for word in words:

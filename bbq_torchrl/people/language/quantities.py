@@ -46,7 +46,7 @@ PARTY = re.compile(rf"(?<!\S){_MEMBER}(?: (?:(?:{_JOIN}) )*{_MEMBER})+(?!\S)")
 """Several sorts of people, each with its number: "2 adults and a child"."""
 
 _COMPANION = (
-    rf"(?:(?:my|an?|the) (?:{'|'.join(sorted(_COMPANIONS))})"
+    rf"(?:(?:my|an?|the) (?:\w+ )?(?:{'|'.join(sorted(_COMPANIONS))})"
     rf"|(?:(?:my|our|the) )?{NUMBER} (?:little ones|{'|'.join(sorted(_COMPANIES))}))"
 )
 _ME = "(?:i|me|myself)"
@@ -54,13 +54,14 @@ _SURE: dict[Kind, re.Pattern[str]] = {
     "count": re.compile(
         rf"{NUMBER} (?:of us|seats?)|(?:an? )?(?:{'|'.join(ENGLISH['groups'].split())}) of {NUMBER}"
         rf"|with (?:(?:my|our) )?{NUMBER} (?:{'|'.join(sorted(_COMPANIES))})"
-        rf"|{_COMPANION} (?:and|n|&) {_ME}|{_ME} (?:and|n|&) (?:{_COMPANION}|her|him)"
+        rf"|(?:{_COMPANION}|her|him) (?:and|n|&) {_ME}|{_ME} (?:and|n|&) (?:{_COMPANION}|her|him)"
         rf"|{NUMBER} couples|{PARTY.pattern}"
         rf"|(?:i am|i'm|im) alone|(?:going|coming) (?:alone|solo)|(?:by|for) myself"
         rf"|(?:we are|we're) {_MEMBER}"
     ),
     "time": re.compile(
-        rf"(?:at )?\d[\d:.]* [ap]\.?m\.?|\d\d?:\d\d|at {NUMBER}|(?:the )?{NUMBER} o'clock"
+        rf"(?:half|quarter|(?:\w+ - )?{NUMBER}) past {NUMBER}(?: one)?"
+        rf"|(?:at )?\d[\d:.]* [ap]\.?m\.?|\d\d?:\d\d|at {NUMBER}|(?:the )?{NUMBER} o'clock"
     ),
 }
 
@@ -176,6 +177,7 @@ _RELATION = re.compile(
     rf"(?:(?:{'|'.join(ENGLISH['before_relations'].split())}) )*"
     rf"({'|'.join(ENGLISH['relations'])}) (?:(?:about|around) )?"
 )
+_TENS_AND_UNIT = re.compile(r"\b([2-5]0) ([1-9])(?= (?:past|to|till)\b)")
 _CLOCK = re.compile(
     r"(?P<hour>\d{1,2})(?:[:.h]?(?P<minute>\d\d)| (?P<spoken>oh \d|[2-5]0 \d|[1-5]\d))?"
     r"|(?P<before_half>\d{1,2}) (?:a )?half|half (?P<after_half>\d{1,2})"
@@ -317,7 +319,10 @@ def is_at(day: str, values: Iterable[str]) -> bool:
 def _read_clock(words: list[str]) -> tuple[int, int, bool] | None:
     """Returns the hour, the minute and whether the clock certainly has 24 hours."""
     line = " ".join(str(_NUMBERS.get(word, word)) for word in words)
-    if not line.isascii() or (found := _CLOCK.fullmatch(line)) is None:
+    line = _TENS_AND_UNIT.sub(lambda found: str(int(found[1]) + int(found[2])), line)
+    # "The quarter past three one"
+    found = _CLOCK.fullmatch(line) or _CLOCK.fullmatch(line.removesuffix(" 1"))
+    if not line.isascii() or found is None:
         return None
     if found["full"]:
         hour = int(found["full"]) if found["full"].isdigit() else 12
