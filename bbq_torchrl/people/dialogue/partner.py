@@ -512,7 +512,8 @@ class Partner:
             return None
         # The last is what the next text replies to; there is one proposal at most.
         last = max(found, key=lambda a: (bool(a.memory.proposal), bool(a.answered.choices)))
-        leads = [one for one in found if one is not last and not one.memory.proposal]
+        stands = ({}, now.proposal)
+        leads = [one for one in found if one is not last and one.memory.proposal in stands]
         texts = [moves.without_question(answer.text) for answer in leads]
         return led(last, " ".join(one for one in texts if one not in last.text))
 
