@@ -111,16 +111,19 @@ class Deciding:
             return replace(found, understood=understood)
         is_asked = acted.answered.act == "request"
         is_asked &= not self._fixed.isdisjoint(acted.answered.requests)
-        is_asked &= len(acted.parts) == 1 or bool(asked)  # not after an earlier question
-        lacks = any(NO_MATCH_TEXT in act.informs.values() for act, _ in acted.parts)
-        if state is not None and is_asked and not (is_denied or now.proposal or lacks):
-            now_told, slot = replace(now, state=state), acted.answered.requests[0]
-            unasked = self._ways_out.unasked(now_told, reading, words, slot, asked)
-            if unasked is not None:
-                return replace(unasked, understood=understood)
+        answers = [item for act, _ in acted.parts for item in act.informs.items()]
+        lacks = {slot for slot, value in answers if value == NO_MATCH_TEXT}
         kinds, known = self._spelling.lexicon.kinds, values_of(self._tracking.kept(acted.state))
         times = {s: v for s, v in known.items() if kinds.get(s) == "time"}  # no "tonight" at 10 am
         sentences = [self._nlg.agent(act, {**times, **kept}, **words) for act, kept in acted.parts]
+        if state is not None and is_asked and not (is_denied or now.proposal or lacks & self._fixed):
+            now_told, slot = replace(now, state=state), acted.answered.requests[0]
+            earlier = [] if asked and not lacks else sentences[:-1]
+            unasked = self._ways_out.unasked(
+                now_told, reading, words, slot, [*asked, *dict(answers)]
+            )
+            if unasked is not None:
+                return led(replace(unasked, understood=understood), " ".join(earlier))
         if state is not None:
             told = {s: v for act, _ in acted.parts for s, v in act.informs.items() if s in asked}
             other = self._ways_out.on_file(replace(now, state=state), reading, words, told)

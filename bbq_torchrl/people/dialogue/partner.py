@@ -551,6 +551,7 @@ class Partner:
         said = [name for name in names if not moves.is_passing(name)]
         says_more = bool(values_of(reading.frame) or reading.frame.requests)
         asked = {*self.domain.opening_slots, *(question.requests if question else ())}
+        asked.difference_update(reading.frame.requests)  # "I coach a team here. What is on?"
         left = tuple(
             one
             for one in reading.unclear
