@@ -96,7 +96,7 @@ class Accepting:
             is_named = bool(told) and not said.unclear
             is_bare = self._hear.is_bare(reading.frame, *YES)
             is_named |= is_bare and not moves.says(text, "hesitates")
-            if not (takes or (is_named and not moves.says(text, "no", "doubts"))):
+            if not (takes or (is_named and not moves.says(text, "no", "doubts", "must"))):
                 return None
         frame = Frame("request" if requests else "inform", {**proposal, **told}, requests)
         known = {**record, **proposal}
@@ -216,7 +216,7 @@ class Accepting:
         """Returns whether a text takes what is offered, whatever else it says."""
         is_end = moves.ends_in_yes(text)
         is_sure = reading.takes >= SURE and not moves.is_filler(text)  # "oh dear"
-        doubts = ["hesitates"] if is_end else ["no", "hesitates", "but"]
+        doubts = ["hesitates"] if is_end else ["no", "hesitates", "but", "must"]
         is_yes = (is_end and is_sure) or not moves.says(text, *doubts)
         asked = {*reading.frame.requests} - {self._ticket}  # "the only one is when I'm at work"
         return not asks and (is_end or (is_sure and not asked)) and is_yes

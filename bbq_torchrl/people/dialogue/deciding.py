@@ -110,13 +110,11 @@ class Deciding:
             found = self._proposals.alternative(now, reading, words, asked, is_refused=False)
             return replace(found, understood=understood)
         is_asked = acted.answered.act == "request"
-        is_asked &= not self._fixed.isdisjoint(acted.answered.requests)
+        is_asked &= not (self._fixed.isdisjoint(acted.answered.requests) or now.proposal)
         answers = [item for act, _ in acted.parts for item in act.informs.items()]
         lacks = {slot for slot, value in answers if value == NO_MATCH_TEXT}
-        kinds, known = self._spelling.lexicon.kinds, values_of(self._tracking.kept(acted.state))
-        times = {s: v for s, v in known.items() if kinds.get(s) == "time"}  # no "tonight" at 10 am
-        sentences = [self._nlg.agent(act, {**times, **kept}, **words) for act, kept in acted.parts]
-        if state is not None and is_asked and not (is_denied or now.proposal or lacks & self._fixed):
+        sentences = [self._nlg.agent(act, kept, **words) for act, kept in acted.parts]
+        if state is not None and is_asked and not (is_denied or lacks & self._fixed):
             now_told, slot = replace(now, state=state), acted.answered.requests[0]
             earlier = [] if asked and not lacks else sentences[:-1]
             unasked = self._ways_out.unasked(

@@ -286,6 +286,8 @@ def plain(text: str) -> str:
         '. the 2:35 , is it still there ?'
     """
     text = _NOTHING.sub("anything", _GREETING.sub("", text))
+    if not is_filler(rest := _FIND["not_part"].sub("", _words(text))):
+        text = rest.strip() if rest != _words(text) else text
     rest = _FIND["complaint"].sub("", _words(text))
     is_more = rest != _words(text) and (any(map(str.isdigit, rest)) or says(rest, "but_yes"))
     return rest.strip() if is_more else text

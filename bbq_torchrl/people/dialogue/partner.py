@@ -149,11 +149,14 @@ class Partner:
         """Returns the answer to a text, before it is remembered what it shows."""
         rules, now = self.control.rules, replace(before, texts=before.texts + 1)
         words: dict[str, Any] = {"session": seed, "turn": now.texts}
-        is_about = bool(before.proposal) or before.is_offered
-        near = self._proposals.nearest(before)
-        record = near if is_about else {}
         told, untold, whole = Told("", {}, text), "", text
         try:
+            if before.state is not None and before.is_offered and self._picks(before, text):
+                state = before.state.replace(offered=before.state["offered"] & False)
+                before, now = replace(before, state=state), replace(now, state=state)
+            is_about = bool(before.proposal) or before.is_offered
+            near = self._proposals.nearest(before)
+            record = near if is_about else {}
             if "answers_first" in rules:
                 text = moves.plain(text)
             if "drop" in rules and moves.says(text, "restart"):
@@ -231,6 +234,13 @@ class Partner:
             answered=replace(answer.answered, act="inform", informs=informs),
         )
 
+    def _picks(self, before: Memory, text: str) -> bool:
+        """Returns whether a text picks one of a list that was told after the offer that stands."""
+        question = self._question(before)
+        if before.proposal or question is None or not question.choices:
+            return False
+        return not {*question.choices}.isdisjoint(self._hear(text, question).frame.informs.values())
+
     def _back(self, before: Memory, now: Memory, text: str, words: dict[str, Any]) -> Answer | None:
         """Returns the proposal of a showing that a text goes back to, and answers beside it."""
         clauses = [one for one in moves.sentences(text) if moves.says(one, "back")]
@@ -281,7 +291,7 @@ class Partner:
         if "way_out" in rules:
             reading = self._narrowed(reading, text, before, turn.record)
         is_about = bool(before.proposal) or before.is_offered or others
-        if "drop" in rules and (is_about or values_of(reading.frame)):
+        if "drop" in rules and (is_about or held or values_of(reading.frame)):
             reading, refused = self._hear.refused(reading, text, held, (turn.record, *now.shown))
             now = replace(now, refused=(*now.refused, *refused))
         spoken = reading.frame
@@ -357,7 +367,8 @@ class Partner:
             # "Is there parking at the AMC?"
             is_unheard = moves.says(asking[0], "detail") and all(is_in(v, names) for v in heard)
             is_unheard &= not self._spelling.named(asking[0], self.domain.slots)
-            use = "unknown_question" if is_unheard else "yes" if heard else ""
+            is_yes = heard or moves.says(asking[0], "running")  # "is it still on here?"
+            use = "unknown_question" if is_unheard else "yes" if is_yes else ""
             answer = led(answer, self._nlg.say(use, **turn.words) if use else "")
         return answer
 

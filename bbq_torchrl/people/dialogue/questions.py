@@ -13,7 +13,6 @@ from bbq_torchrl.people.dialogue import moves
 from bbq_torchrl.people.dialogue.hearing import DOUBTFUL
 from bbq_torchrl.people.dialogue.spelling import is_in
 from bbq_torchrl.people.language import Frame
-from bbq_torchrl.people.language.quantities import day_at
 from bbq_torchrl.people.language.words import SMALL, tokenize
 
 if TYPE_CHECKING:
@@ -263,8 +262,12 @@ class Questions:
         """Returns whether values are only what has something unheard: "the Regal has a bar?"."""
         said, lexicon = tokenize(sentence), self._spelling.lexicon
         verb = next((at for at, word in enumerate(said) if word in ("has", "have", "gives")), 0)
-        places = [lexicon.place(said, slot, values[0]) for slot, values in meant.items()]
-        return bool(verb) and all(at is not None and at.stop <= verb for at in places)
+        subject = said[:verb]
+        return bool(verb) and all(
+            is_in(values[0], " ".join(subject))
+            or lexicon.place(subject, slot, values[0]) is not None
+            for slot, values in meant.items()
+        )
 
     def _is_of(self, sentence: str, meant: Mapping[str, Sequence[str]]) -> bool:
         """Returns whether a question is of something named, as "is the 2:40 one left?"."""
@@ -275,10 +278,6 @@ class Questions:
 
     def _having(self, record: Mapping[str, str], of: str, values: Sequence[str]) -> str | None:
         """Returns the slot of a record that has one of some values of a slot, or it in a name."""
-        kinds = self._spelling.lexicon.kinds
-        times = [time for slot, time in record.items() if kinds.get(slot) == "time"]
-        if kinds.get(of) == "date" and any(day_at(values[0], time) != values[0] for time in times):
-            return None  # "is it tonight?" of a show at 10 am
         if f" {record.get(of)} " in f" {values[0]} ":  # "great according to"
             return of
         for slot, own in record.items():

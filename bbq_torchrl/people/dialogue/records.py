@@ -11,7 +11,6 @@ from bbq_torchrl.domains.values import FIRST_VALUE, NONE
 from bbq_torchrl.people.dialogue.completing import dependencies
 from bbq_torchrl.people.language.quantities import (
     about_minutes,
-    day_at,
     day_of,
     is_on,
     kind_of,
@@ -82,15 +81,8 @@ class Records:
         }
         dates = {slot: domain.vocabulary[slot] for slot, kind in enumerate(kinds) if kind == "date"}
         self._is_vague = torch.zeros(len(self.has), dtype=torch.bool)
-        self._is_odd = self._is_vague.clone()
         for slot, minutes in self._minutes.items():
             self._is_vague |= minutes[self._values[:, slot]].isnan() & self.has[:, slot]
-            for date, texts in dates.items():  # "tonight at 10:05 am"
-                pairs = self._values[:, [date, slot]].tolist()
-                times = domain.vocabulary[slot]
-                self._is_odd |= torch.tensor(
-                    [day_at(texts[d], times[t]) != texts[d] for d, t in pairs]
-                )
         self._days = {slot: _numbered([*map(day_of, texts)]) for slot, texts in dates.items()}
         self._is_on = {  # of its first date and its second
             slot: torch.tensor([[is_on(day, of) for of in texts] for day in texts])
@@ -208,7 +200,7 @@ class Records:
         cost += _PLACE * self._is_elsewhere(lacks)
         cost += _EACH * self._is_vague  # "after work" only if nothing else is as near
         cost += _EACH / 4 * (self._contradicts.any(0) & ~self.has).sum(-1)  # nor a time not on file
-        cost += _EACH / 8 * self._is_odd + 1e-4 * self._spare
+        cost += 1e-4 * self._spare
         cost += _EACH / 2 * (lacks & self.minor).sum(-1)
         cost += _EACH / 2 * (lacks & self.minor & self.has).sum(-1)  # "in 3D" for "in 2D"
         cost += _PLACE * ((far & self._is_place).any(-1) + 1.2 * nowhere.any(-1))
@@ -288,7 +280,7 @@ class Records:
         if slot in self._minutes:
             fits &= self.parts(held).get(slot, True)
             is_dated = any(held[date] >= FIRST_VALUE for date in self._is_on)
-            is_plain = fits & ~(self._is_odd | self._is_vague)  # "tonight" at 8 pm
+            is_plain = fits & ~self._is_vague
             fits = is_plain if is_dated and is_plain.any() else fits
         has = fits & self.has[:, list(asked)].all(-1)
         if not self._minutes.keys().isdisjoint(asked):  # nor does "matinee" say when
@@ -330,7 +322,7 @@ class Records:
             )
         distances += self.with_any(refused) * (distances.max() + 1)
         absent = (self._constrains & self._contradicts & ~self.has).sum(-1)  # the date not on file
-        distances = 2 * distances * (len(held) + 1) + 2 * absent + self._is_odd
+        distances = distances * (len(held) + 1) + absent
         distances = distances * (len(held) + 1) + self._spare
         return self._values[int(distances.argmin())].clone()
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from functools import reduce
 from itertools import permutations
 from math import inf
 from typing import TYPE_CHECKING
@@ -51,8 +52,9 @@ class Spelling:
 
     Attributes:
         lexicon: the domain's phrases and values.
-        domain: the domain, with its records and goals in their most frequent spelling, and in each
-            record what its other values determine, as a city its state.
+        domain: the domain, with its records and goals in their most frequent spelling, on the day
+            that they are ("tonight at 10:05 am" is today), and in each record what its other values
+            determine, as a city its state.
         wholes: for a slot whose values all begin names of another, as a chain a theater's, that
             other.
 
@@ -66,8 +68,9 @@ class Spelling:
 
     def __init__(self, domain: Domain) -> None:
         self.lexicon = Lexicon(domain)
-        goals = (replace(goal, constraints=self.of(goal.constraints)) for goal in domain.goals)
-        spelled = replace(domain, records=tuple(map(self.of, domain.records)), goals=tuple(goals))
+        goals = (replace(goal, constraints=self._dated(goal.constraints)) for goal in domain.goals)
+        records = tuple(map(self._dated, domain.records))
+        spelled = replace(domain, records=records, goals=tuple(goals))
         self.domain = replace(spelled, records=completed(spelled))
         self._recorded: dict[str, set[str]] = {}
         for record in self.domain.records:
@@ -83,6 +86,13 @@ class Spelling:
     def of(self, values: Mapping[str, str]) -> dict[str, str]:
         """Returns the values by slot in that spelling; unknown values are unchanged."""
         return {slot: self.lexicon.respell(slot, value) for slot, value in values.items()}
+
+    def _dated(self, values: Mapping[str, str]) -> dict[str, str]:
+        """Returns the values in that spelling, with a day for its part that a time is not in."""
+        kinds, spelled = self.lexicon.kinds, self.of(values)
+        times = [time for slot, time in spelled.items() if kinds.get(slot) == "time"]
+        days = {s: reduce(day_at, times, v) for s, v in spelled.items() if kinds.get(s) == "date"}
+        return spelled | self.of(days)
 
     def understood(
         self,

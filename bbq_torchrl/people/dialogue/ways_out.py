@@ -119,7 +119,7 @@ class WaysOut:
             base = torch.where(is_wish, held, NONE)
             found = self._choices(now, base, number, is_other=is_other) or found
         if len(found) < 2 and not (is_met or way or end):  # what there is at all
-            is_place = slot != self._thing and (records.lasting[number] or slot == self._holder)
+            is_place = slot != self._thing and records.lasting[number]
             stays_so = (records.opening if is_place else records.lasting) | self._flags(informs)
             at_all = torch.where(is_wish & stays_so, full(now.state), NONE)
             found = self._choices(now, at_all, number, is_other=is_other) or found

@@ -7,7 +7,6 @@ import math
 import random
 import re
 from collections.abc import Mapping, Sequence
-from functools import reduce
 from itertools import combinations
 from typing import Any
 
@@ -17,7 +16,7 @@ from bbq_torchrl.people.language.asking import Understood
 from bbq_torchrl.people.language.composer import Composer
 from bbq_torchrl.people.language.lexicon import Lexicon
 from bbq_torchrl.people.language.phrases import Piece, Template, choose, plain
-from bbq_torchrl.people.language.quantities import day_at, minutes_of
+from bbq_torchrl.people.language.quantities import minutes_of
 from bbq_torchrl.people.language.words import pairs, word_set
 
 _MAX_IN_CONFLICT = 4
@@ -243,7 +242,7 @@ class Generator:
         if self._kinds.get(slot) == "time" and math.isnan(minutes_of(value)):  # "after work"
             words = {"<choices>": [Piece(value)]}
             return self._fill(self._phrases.agent["no_clock"], rng, slot, words)
-        written = self._written(slot, value, wishes)
+        written = self._written(slot, value)
         said = {"<wishes>": self._wishes(wishes, rng), slot: [Piece(written)]}
         return self._fill(phrases["tell"], rng, slot, said)
 
@@ -281,17 +280,13 @@ class Generator:
             if said:
                 said.append(Piece(", "))
             phrases = self._phrases.slots[slot].phrases["wish"]
-            written = self._written(slot, value, wishes)
+            written = self._written(slot, value)
             said += self._fill(phrases, rng, slot, {slot: [Piece(written)]})
         return said or [Piece("as you wish")]
 
-    def _written(self, slot: str, value: str, beside: Mapping[str, str] | None = None) -> str:
-        """Returns a value as agents write it beside others: no "tonight, 10:05 am"."""
+    def _written(self, slot: str, value: str) -> str:
+        """Returns a value as agents write it."""
         capitals = self._phrases.slots[slot].capitals
-        if self._kinds.get(slot) == "date":
-            others = (beside or {}).items()
-            times = (text for other, text in others if self._kinds.get(other) == "time")
-            value = reduce(day_at, times, value)
         return value if capitals is None else capitalized(value, capitals)
 
     def _fill(

@@ -82,3 +82,14 @@ def test_an_unknown_name_is_the_title_of_which_a_text_has_more_words(spelling):
     for text, is_part in (("the Wish one, with the cat in boots", True), ("a wish in reno", False)):
         _, (unclear,) = spelling.understood(text, {"moviename": "wish"}, {})
         assert (title in unclear.candidates) == is_part
+
+
+def test_a_record_is_on_the_day_of_its_time(spelling):
+    days = {
+        (record["date"], record["starttime"])
+        for record in spelling.domain.records
+        if {"date", "starttime"} <= record.keys()
+    }
+    assert ("today", "10:05am") in days
+    assert ("tonight", "10:05am") not in days
+    assert ("tonight", "8:55 pm") in days

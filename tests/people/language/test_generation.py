@@ -128,13 +128,6 @@ def test_agents_write_names_as_titles_and_one_in_the_singular(mouth):
     assert any(re.search("1 (person|ticket)", text) for text in texts)
 
 
-def test_a_part_of_the_day_is_left_out_where_the_time_is_not_in_it(mouth):
-    for time, day in (("10:05 am", "today"), ("8 pm", "tonight")):
-        shown = {"date": "tonight", "starttime": time}
-        assert f"{day}, " in mouth.say("understood", values=shown).lower()
-        assert day in mouth.agent(Frame("inform", {"date": "tonight"}), shown)
-
-
 def test_a_list_says_beside_each_choice_what_goes_with_it(mouth):
     beside = ({"theater": "regal reno 12"}, {})
     text = mouth.say("several", ["starttime"], choices=("7 pm", "9 pm"), beside=beside)
