@@ -357,7 +357,8 @@ class Acting:
                 state = state.replace(held=held)
         if parts:
             aside = self._tracking.aside(state)
-            told = {slot: v for slot, v in understood.informs.items() if slot not in aside}
+            left = aside.keys() | {slot for act, _ in parts for slot in act.informs}
+            told = {slot: v for slot, v in understood.informs.items() if slot not in left}
             wish = Frame("request", told, (self._ticket,))
             state = self._tracking.hear(state, wish)
         return state.replace(turn=turn), parts
