@@ -48,11 +48,12 @@ _AND = re.compile(rf"(?:{_CLAUSE.pattern})(?:and |also |plus )*| (?:and|n|also|p
 _WHERE = re.compile(r" (?:in|at|on|near) ")
 _GREETING = re.compile(r"^\W*(?:good )?(?:morning|afternoon|evening)\b(?: \w+)?\W*!\W*(?=\w)", re.I)
 _NOTHING = re.compile(r"\bnothing\b(?=[^.;!?]*\?)", re.IGNORECASE)
+_NOT = re.compile(r"\b(is|are|was|were|do|does|did|ca|wo|has|have|would|could|should)nt\b")
 _LONGEST = 6  # words of a value
 
 
 def _words(text: str) -> str:
-    return " ".join(tokenize(legible(text)))
+    return _NOT.sub(r"\1n't", " ".join(tokenize(legible(text))))
 
 
 def says(text: str, *names: str) -> bool:

@@ -498,7 +498,11 @@ class Partner:
         lexicon, is_meant = self._spelling.lexicon, self._spelling.is_meant
         asking = [one for one in moves.sentences(turn.text) if moves.others(one)]
         if dropped:
-            asking = [one for one in asking if not moves.taken_back(one, held, lexicon)]
+            asking = [
+                one
+                for one in asking
+                if moves.says(one, "something_else") or not moves.taken_back(one, held, lexicon)
+            ]
             if not asking:
                 return None
         times = {slot for slot, kind in lexicon.kinds.items() if kind == "time"}
