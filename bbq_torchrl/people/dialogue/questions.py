@@ -149,6 +149,11 @@ class Questions:
         if is_whether and meant and self._is_subject(sentence, meant):
             return self._nlg.say("unknown_question", **words), {}, True
         has = {slot: self._having(record, slot, values) for slot, values in meant.items()}
+        dates = [
+            slot for slot in meant if kinds[slot] == "date" and slot in record and not has[slot]
+        ]
+        if any(_is_numbered(record[slot]) != _is_numbered(meant[slot][0]) for slot in dates):
+            return self._nlg.say("unknown_question", **words), {}, True  # "is the 14th a Saturday?"
         is_other = moves.says(sentence, "also") or self._is_of(sentence, meant)
         if is_other and not all(has.values()):
             return None
@@ -284,3 +289,8 @@ class Questions:
             if any(is_in(v, own) or self._spelling.is_meant(slot, v, own) for v in values):
                 return slot
         return None
+
+
+def _is_numbered(date: str) -> bool:
+    """Returns whether a date is in numbers, whose weekday is not known."""
+    return any(map(str.isdigit, date))
