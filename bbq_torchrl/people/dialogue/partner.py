@@ -330,13 +330,13 @@ class Partner:
             answered, ended = Frame(understood.act), "person" if understood.act == "closing" else ""
             sentence = self._nlg.agent(answered, **turn.words)
             return Answer(sentence, reading, understood, answered, now, ended=ended)
-        is_list = turn.question is not None and bool(turn.question.choices)
+        is_list = bool(picks)
         still = self._tracking.open(before.state)
         news = [slot for slot in understood.requests if slot not in still]
         lists = news if is_list else [*news, *still]
-        if is_list and "way_out" in rules:
-            told = replace(now, state=self._deciding.told(before.state, understood)[1])
-            found = self._ways_out.beside(told, reading, turn.question, turn.words)
+        if turn.question is not None and is_list and "way_out" in rules:
+            heard = replace(now, state=self._deciding.told(before.state, understood)[1])
+            found = self._ways_out.beside(heard, reading, turn.question, turn.words)
             if found is not None:
                 return led(found, lead)
         answer = self._deciding(
@@ -527,8 +527,9 @@ class Partner:
             return None
         # The last is what the next text replies to; there is one proposal at most.
         last = max(found, key=lambda a: (bool(a.memory.proposal), bool(a.answered.choices)))
-        stands = ({}, now.proposal)
-        leads = [one for one in found if one is not last and one.memory.proposal in stands]
+        leads = [
+            one for one in found if one is not last and one.memory.proposal in ({}, now.proposal)
+        ]
         texts = [moves.without_question(answer.text) for answer in leads]
         return led(last, " ".join(one for one in texts if one not in last.text))
 

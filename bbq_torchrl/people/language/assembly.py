@@ -178,8 +178,8 @@ def chosen(words: Sequence[str], question: Frame, lexicon: Lexicon) -> str | Non
         return None
     slot, choices = question.requests[0], question.choices
     spans = [span for span in lexicon.full_names(words, slot) if span.slot == slot]
-    names = [" ".join(words[s.start : s.end]) for s in spans if not is_denied(words, *s[1:])]
-    keys = {lexicon.key(slot, value) for name in names for value in lexicon.link(slot, name).values}
+    named = [" ".join(words[s.start : s.end]) for s in spans if not is_denied(words, *s[1:])]
+    keys = {lexicon.key(slot, value) for name in named for value in lexicon.link(slot, name).values}
     own = [value for value in choices if lexicon.key(slot, value) in keys]
     if len(own) == 1:  # "the 3:15 one, we can have lunch first"
         return own[0]
