@@ -335,8 +335,8 @@ class Partner:
         news = [slot for slot in understood.requests if slot not in still]
         lists = news if is_list else [*news, *still]
         if turn.question is not None and is_list and "way_out" in rules:
-            heard = replace(now, state=self._deciding.told(before.state, understood)[1])
-            found = self._ways_out.beside(heard, reading, turn.question, turn.words)
+            after = replace(now, state=self._deciding.told(before.state, understood)[1])
+            found = self._ways_out.beside(after, reading, turn.question, turn.words)
             if found is not None:
                 return led(found, lead)
         answer = self._deciding(
