@@ -66,13 +66,15 @@ class Deciding:
         reading: Understood,
         understood: Frame,
         words: dict[str, Any],
+        question: Frame | None = None,
         *,
         is_booked: bool = False,
         lists: Sequence[str] = (),
     ) -> Answer:
         """Returns the policy's answer to an act, or the way out if no record has all wishes.
 
-        Of the slots in ``lists`` it is the list of what is left, if there are several.
+        Of the slots in ``lists`` it is the list of what is left, if there are several, or the list
+        that ``question`` is, with what is asked of its values.
         """
         before, rules, is_offered = now.state, self._control.rules, now.is_offered
         is_denied = is_offered and self._hear.is_bare(understood, "deny")
@@ -99,7 +101,8 @@ class Deciding:
             is_left = any(now.proposal.get(slot, value) != value for slot, value in news)
             if not (is_denied or (now.proposal and not is_left) or bool(state["offered"])):
                 now_told = replace(now, state=state)
-                listed = self._ways_out.listed(now_told, reading, words, lists)
+                listed = self._ways_out.beside(now_told, reading, question, words)
+                listed = listed or self._ways_out.listed(now_told, reading, words, lists)
                 if listed is not None:
                     return replace(listed, understood=understood)
         reply = self._acting.book if is_booked else self._acting.reply

@@ -334,13 +334,8 @@ class Partner:
         still = self._tracking.open(before.state)
         news = [slot for slot in understood.requests if slot not in still]
         lists = news if is_list else [*news, *still]
-        if turn.question is not None and is_list and "way_out" in rules:
-            after = replace(now, state=self._deciding.told(before.state, understood)[1])
-            found = self._ways_out.beside(after, reading, turn.question, turn.words)
-            if found is not None:
-                return led(found, lead)
         answer = self._deciding(
-            now, reading, understood, turn.words, is_booked=is_booked, lists=lists
+            now, reading, understood, turn.words, turn.question, is_booked=is_booked, lists=lists
         )
         is_of_it = values_of(reading.frame).items() <= turn.record.items()
         if is_of_it and not before.proposal.keys().isdisjoint(answer.answered.requests):
@@ -356,21 +351,24 @@ class Partner:
             answer = led(answer, self._nlg.say("no_promise", values=absent, **turn.words))
         if (is_unsure or others) and (unsaid := self._unsaid(before, answer)):
             answer = led(answer, self._nlg.say("understood", values=unsaid, **turn.words))
+        use = "" if absent or not values_of(understood) else self._whether_any(turn, answer)
+        return led(answer, self._nlg.say(use, **turn.words) if use else "")
+
+    def _whether_any(self, turn: _Turn, answer: Answer) -> str:
+        """Returns the use of the answer to whether there is a booking of some sort, if any."""
         proposal, held = answer.memory.proposal, self._tracking.kept(answer.memory.state)
         is_met = all(proposal.get(slot, value) == value for slot, value in held.items())
         is_found = is_met and bool(answer.acted or answer.answered.choices or proposal)
-        is_found &= bool(values_of(understood))
-        asking = [one for one in moves.sentences(text) if moves.asks_whether_any(one)]
-        if asking and is_found and not absent:
-            heard = [v for one in asking for v in values_of(self._hear(one, None).frame).values()]
-            names = " , ".join(turn.record.values())
-            # "Is there parking at the AMC?"
-            is_unheard = moves.says(asking[0], "detail") and all(is_in(v, names) for v in heard)
-            is_unheard &= not self._spelling.named(asking[0], self.domain.slots)
-            is_yes = heard or moves.says(asking[0], "running")  # "is it still on here?"
-            use = "unknown_question" if is_unheard else "yes" if is_yes else ""
-            answer = led(answer, self._nlg.say(use, **turn.words) if use else "")
-        return answer
+        asking = [one for one in moves.sentences(turn.text) if moves.asks_whether_any(one)]
+        if not (asking and is_found):
+            return ""
+        heard = [v for one in asking for v in values_of(self._hear(one, None).frame).values()]
+        names = " , ".join(turn.record.values())
+        # "Is there parking at the AMC?"
+        is_unheard = moves.says(asking[0], "detail") and all(is_in(v, names) for v in heard)
+        if is_unheard and not self._spelling.named(asking[0], self.domain.slots):
+            return "unknown_question"
+        return "yes" if heard or moves.says(asking[0], "running") else ""  # "is it still on?"
 
     def _to_what_stands(
         self, turn: _Turn, now: Memory, reading: Understood, others: bool

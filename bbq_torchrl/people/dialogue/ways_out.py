@@ -391,17 +391,19 @@ class WaysOut:
         return self._several(now, reading, slot, values, words)
 
     def beside(
-        self, now: Memory, reading: Understood, question: Frame, words: dict[str, Any]
+        self, now: Memory, reading: Understood, question: Frame | None, words: dict[str, Any]
     ) -> Answer | None:
         """Returns a list again, with what a text asks of its values, if it picks none of them.
 
         Args:
             now: the memory, with the state after the person's act.
             reading: the meaning of the text.
-            question: the list.
+            question: the agent's act that the text answers, which may be a list.
             words: what determines the words.
         """
         assert now.state is not None
+        if question is None or not question.choices:
+            return None
         slot, asked = question.requests[0], {*reading.frame.requests} & self._listed
         held, number = full(now.state), self._slots.index(slot)
         many = [
